@@ -1,0 +1,1 @@
+"""Ground floor: constants, time, records that cross walls, errors, kernel decorator."""

@@ -1,0 +1,1 @@
+"""Differences against truth, statistics, figures and reports."""

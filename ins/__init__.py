@@ -1,0 +1,1 @@
+"""Inertial navigation: mechanization, error filter, constraints, alignment, smoothing."""

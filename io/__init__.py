@@ -1,0 +1,1 @@
+"""Everything that touches a file: configuration, recordings, readers and writers."""

@@ -1,0 +1,1 @@
+"""The receiver: signals, messages, orbits, baseband, acquisition, tracking, PVT."""

@@ -1,0 +1,1 @@
+"""Scenario → IF samples and truth, made without the approximations of the receiver."""

@@ -1,0 +1,1 @@
+"""Error budgets of loops and observables; knows only the ground floor."""
