@@ -25,7 +25,9 @@ def C_ne(lat_rad: float, lon_rad: float) -> FloatArray:
     return np.array([[-sl * co, -sl * so, cl], [-so, co, 0.0], [-cl * co, -cl * so, -sl]])
 
 
-def azimuth_elevation(r_e_m: FloatArray, satellites_e_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def azimuth_elevation(
+    r_e_m: FloatArray, satellites_e_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Azimuth in [0, 2π) and elevation, rad, of ECEF points (k, 3) seen from r_e_m."""
     lat, lon, _ = geodetic(r_e_m)
     los_n = (satellites_e_m - r_e_m) @ C_ne(lat, lon).T

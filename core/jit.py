@@ -33,16 +33,14 @@ import numba  # noqa: E402  (reads NUMBA_CACHE_DIR when imported)
 
 def kernel(function: _Function) -> _Function:
     """Compile a plain function over arrays and scalars: cached, without the GIL."""
-    return cast(
-        _Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    )
+    return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 def summing_kernel(function: _Function) -> _Function:
     """As `kernel`, with sums that may be reassociated and contracted; NaN keeps its meaning."""
     return cast(
         _Function,
-        numba.njit(
-            cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"}
-        )(function),
+        numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})(
+            function
+        ),
     )

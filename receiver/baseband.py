@@ -1,0 +1,406 @@
+"""The baseband core (SPEC 4): one running sum for all channels, correlations as sums over runs.
+
+The cost of a channel does not grow with the sampling rate: one code period costs some 500
+look-ups per tap. Kernels here know samples and chips only, nothing of satellites or loops.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepgnss.core.jit import kernel, summing_kernel
+from deepgnss.core.records import (
+    ComplexArray,
+    FloatArray,
+    NcoCommand,
+    RunningSums,
+    SampleBlock,
+    StreamInfo,
+)
+from deepgnss.receiver.signals import CodeRuns
+
+_TABLE_BITS = 10
+_SAMPLES_PER_CHIP = 96.0  # finer streams are thinned: entries of the sum are left out
+
+
+@kernel
+def sum_complex(
+    samples: NDArray[np.int16], total: int, lead: int, thin: int, out: NDArray[np.int64]
+) -> tuple[int, int]:
+    """Continue a running sum over complex samples (n, 2) that need no mixing.
+
+    The first entry is written after `lead` samples, then one after every `thin`-th.
+    Returns the running total and the number of entries written.
+    """
+    entry = 0
+    left = lead
+    for n in range(samples.shape[0]):
+        total += (np.int64(samples[n, 0]) << 32) + np.int64(samples[n, 1])
+        left -= 1
+        if left == 0:
+            out[entry] = total
+            entry += 1
+            left = thin
+    return total, entry
+
+
+@kernel
+def sum_mixed(
+    samples: NDArray[np.int16],
+    total: int,
+    lead: int,
+    thin: int,
+    turn: np.uint64,
+    increment: np.uint64,
+    table: NDArray[np.int64],
+    out: NDArray[np.int64],
+) -> tuple[int, int]:
+    """As `sum_complex` of samples·e^{−j2π·turn}; turn and its increment in 2⁻⁶⁴ cycles.
+
+    samples: (n, 1) real or (n, 2) complex. table: (2¹⁰, 2) packed e^{−jθ} and j·e^{−jθ}.
+    """
+    entry = 0
+    left = lead
+    shift = np.uint64(64 - _TABLE_BITS)
+    is_complex = samples.shape[1] == 2
+    for n in range(samples.shape[0]):
+        row = turn >> shift
+        total += np.int64(samples[n, 0]) * table[row, 0]
+        if is_complex:
+            total += np.int64(samples[n, 1]) * table[row, 1]
+        turn += increment
+        left -= 1
+        if left == 0:
+            out[entry] = total
+            entry += 1
+            left = thin
+    return total, entry
+
+
+@summing_kernel
+def correlate_period(
+    packed: NDArray[np.int64],
+    base: int,
+    start: float,
+    entries_per_chip: float,
+    edges: FloatArray,
+    signs: FloatArray,
+    phase_cycles: float,
+    cycles_per_chip: float,
+    taps_chips: FloatArray,
+    out: ComplexArray,
+) -> None:
+    """Correlate one code period with all taps.
+
+    The period starts at entry base + start of `packed`; phase_cycles is the carrier there. Every
+    tap reuses the phasors of the runs' middles; Abel summation leaves one look-up per edge. The
+    prompt (offset 0) gives a sample at an edge whole to the nearer chip, as a sampled replica
+    would, so it loses nothing; other taps split it (linear interpolation), so that discriminators
+    stay smooth when the sampling rate is a multiple of the chip rate.
+    """
+    runs = signs.size
+    real = np.empty(runs)
+    imag = np.empty(runs)
+    for k in range(runs):
+        x = phase_cycles + cycles_per_chip * 0.5 * (edges[k] + edges[k + 1])
+        x -= math.floor(x + 0.5)
+        c = abs(x) - 0.25  # cos 2πx = −sin 2πc
+        s = math.copysign(0.25 - abs(c), x)  # sin 2πx = sin 2πs
+        c2 = c * c
+        s2 = s * s
+        real[k] = (
+            -signs[k]
+            * c
+            * (  # Taylor to c¹¹: within 6e-8 for |c| ≤ 1/4
+                6.283185307179586
+                + c2
+                * (
+                    -41.341702240399755
+                    + c2
+                    * (
+                        81.60524927607504
+                        + c2
+                        * (-76.70585975306136 + c2 * (42.05869394489765 - 15.094642576822987 * c2))
+                    )
+                )
+            )
+        )
+        imag[k] = (
+            -signs[k]
+            * s
+            * (
+                6.283185307179586
+                + s2
+                * (
+                    -41.341702240399755
+                    + s2
+                    * (
+                        81.60524927607504
+                        + s2
+                        * (-76.70585975306136 + s2 * (42.05869394489765 - 15.094642576822987 * s2))
+                    )
+                )
+            )
+        )
+    step_real = np.empty(runs + 1)
+    step_imag = np.empty(runs + 1)
+    step_real[0] = -real[0]
+    step_imag[0] = -imag[0]
+    for k in range(1, runs):
+        step_real[k] = real[k - 1] - real[k]
+        step_imag[k] = imag[k - 1] - imag[k]
+    step_real[runs] = real[runs - 1]
+    step_imag[runs] = imag[runs - 1]
+
+    reference = packed[base]
+    for t in range(taps_chips.size):
+        first = start - taps_chips[t] * entries_per_chip
+        sum_real = 0.0
+        sum_imag = 0.0
+        if taps_chips[t] == 0.0:
+            for k in range(runs + 1):
+                index = np.uint64(base + np.int32(first + edges[k] * entries_per_chip + 0.5))
+                value = packed[index] - reference
+                q_whole = np.int32(value)
+                i = np.float64(np.int32((value - q_whole) >> 32))
+                q = np.float64(q_whole)
+                sum_real += i * step_real[k] - q * step_imag[k]
+                sum_imag += i * step_imag[k] + q * step_real[k]
+        else:
+            for k in range(runs + 1):
+                entry = first + edges[k] * entries_per_chip
+                whole = np.int32(entry)
+                fraction = entry - whole
+                index = np.uint64(base + whole)
+                lower = packed[index] - reference
+                upper = packed[index + np.uint64(1)] - reference
+                lower_q = np.int32(lower)
+                upper_q = np.int32(upper)
+                lower_i = np.int32((lower - lower_q) >> 32)
+                upper_i = np.int32((upper - upper_q) >> 32)
+                i = lower_i + fraction * (np.float64(upper_i) - lower_i)
+                q = lower_q + fraction * (np.float64(upper_q) - lower_q)
+                sum_real += i * step_real[k] - q * step_imag[k]
+                sum_imag += i * step_imag[k] + q * step_real[k]
+        out[t] = complex(sum_real, sum_imag)
+
+
+@kernel
+def correlate_periods(
+    packed: NDArray[np.int64],
+    first: int,
+    step: int,
+    sample_rate_hz: float,
+    command: NcoCommand,
+    edges: FloatArray,
+    signs: FloatArray,
+    taps_chips: FloatArray,
+    out: ComplexArray,
+) -> None:
+    """Correlate out.shape[0] code periods under one command; period 0 is that at the command.
+
+    `first` is the sample of packed[0]. Sums stand between samples, so that sample n fills
+    [n − ½, n + ½): chip edges are shifted by half a sample to look them up.
+    """
+    length = edges[edges.size - 1]
+    margin = 4 + int(np.max(np.abs(taps_chips)) * sample_rate_hz / command.code_hz)
+    for period in range(out.shape[0]):
+        chips = period * length - command.code_chips
+        t = chips / command.code_hz
+        t = chips / (command.code_hz + 0.5 * command.code_hzps * t)
+        t = chips / (command.code_hz + 0.5 * command.code_hzps * t)
+        middle = t + 0.5 * length / command.code_hz
+        chip_rate = command.code_hz + command.code_hzps * middle
+        carrier_hz = command.carrier_hz + command.carrier_hzps * middle
+        at_middle = command.carrier_cycles + middle * (
+            command.carrier_hz + 0.5 * command.carrier_hzps * middle
+        )
+        cycles_per_chip = carrier_hz / chip_rate
+        whole = int(t * sample_rate_hz) - margin
+        base = (command.sample + whole - first) // step
+        behind = first + base * step - command.sample
+        correlate_period(
+            packed,
+            base,
+            (t * sample_rate_hz + 0.5 - behind) / step,
+            sample_rate_hz / (chip_rate * step),
+            edges,
+            signs,
+            at_middle - 0.5 * length * cycles_per_chip,
+            cycles_per_chip,
+            taps_chips,
+            out[period],
+        )
+
+
+@kernel
+def resample_sums(
+    packed: NDArray[np.int64],
+    start: float,
+    entries_per_output: float,
+    scale: float,
+    out: NDArray[np.complex64],
+) -> None:
+    """Samples at another rate as differences of the running sum; output m starts at entry
+    start + m·entries_per_output."""
+    before_i = 0.0
+    before_q = 0.0
+    reference = packed[int(start)]
+    for m in range(out.size + 1):
+        entry = start + m * entries_per_output
+        whole = int(entry)
+        fraction = entry - whole
+        lower = packed[whole] - reference
+        upper = packed[whole + 1] - reference
+        lower_q = np.int32(lower)
+        upper_q = np.int32(upper)
+        lower_i = np.int32((lower - lower_q) >> 32)
+        upper_i = np.int32((upper - upper_q) >> 32)
+        i = lower_i + fraction * (np.float64(upper_i) - lower_i)
+        q = lower_q + fraction * (np.float64(upper_q) - lower_q)
+        if m > 0:
+            out[m - 1] = complex((i - before_i) * scale, (q - before_q) * scale)
+        before_i = i
+        before_q = q
+
+
+def _mixing_table(amplitude: int) -> NDArray[np.int64]:
+    angle = 2.0 * np.pi * (np.arange(2**_TABLE_BITS) + 0.5) / 2**_TABLE_BITS
+    real = np.rint(amplitude * np.cos(angle)).astype(np.int64)
+    imag = np.rint(-amplitude * np.sin(angle)).astype(np.int64)
+    return np.stack([(real << 32) + imag, (-imag << 32) + real], axis=1)
+
+
+# Largest value of the mixing table by sample width: sums over a code period keep to 31 bits.
+_AMPLITUDE = {1: 127, 2: 15}
+
+
+class RunningSumBuffer:
+    """The running sum of one stream, mixed to one carrier, over a sliding window of samples.
+
+    The sum and the mixing phase are anchored to the recording's sample 0, so that results do not
+    depend on how the samples were cut into blocks.
+    """
+
+    def __init__(self, stream: StreamInfo, carrier_hz: float, capacity: int) -> None:
+        """Room for `capacity` samples; older ones are let go by `keep_from`."""
+        mix_hz = stream.intermediate_hz + carrier_hz - stream.centre_hz
+        turns = math.remainder(mix_hz / stream.sample_rate_hz, 1.0)
+        self._increment = round(turns * 2**64) % 2**64
+        self._stream = stream
+        self._thin = max(1, int(stream.sample_rate_hz / (1.023e6 * _SAMPLES_PER_CHIP)))
+        self._packed = np.zeros(capacity // self._thin + 2, dtype=np.int64)
+        self._table: NDArray[np.int64] | None = None
+        self._scale = 1.0
+        self._carrier_hz = carrier_hz
+        self._entries = 1
+        self._total = 0
+        self.first = 0  # sample of the oldest entry
+        self.end = 0  # sample after the newest one summed
+
+    def restart(self, sample: int) -> None:
+        """Drop everything and continue at a sample (which must divide by the thinning)."""
+        self.first = self.end = sample - sample % self._thin
+        self._entries = 1
+        self._total = 0
+        self._packed[0] = 0
+
+    @property
+    def grain(self) -> int:
+        """Samples per entry."""
+        return self._thin
+
+    def append(self, block: SampleBlock) -> None:
+        """Sum the next block, which must start where the last one ended."""
+        if block.first != self.end:
+            raise ValueError(f"block starts at sample {block.first}, expected {self.end}")
+        samples = block.samples if block.samples.ndim == 2 else block.samples[:, np.newaxis]
+        lead = self._thin - self.end % self._thin
+        out = self._packed[self._entries :]
+        if self._increment == 0 and samples.shape[1] == 2:
+            self._total, written = sum_complex(samples, self._total, lead, self._thin, out)
+        else:
+            if self._table is None:
+                amplitude = _AMPLITUDE[samples.dtype.itemsize]
+                self._table = _mixing_table(amplitude)
+                self._scale = 1.0 / amplitude
+            turn = self._increment * self.end % 2**64
+            self._total, written = sum_mixed(
+                samples,
+                self._total,
+                lead,
+                self._thin,
+                np.uint64(turn),
+                np.uint64(self._increment),
+                self._table,
+                out,
+            )
+        self._entries += written
+        self.end += samples.shape[0]
+
+    def keep_from(self, sample: int) -> None:
+        """Let go of entries before a sample."""
+        drop = min(max(0, (sample - self.first) // self._thin), self._entries - 1)
+        if drop:
+            self._packed[: self._entries - drop] = self._packed[drop : self._entries].copy()
+            self._entries -= drop
+            self.first += drop * self._thin
+
+    @property
+    def sums(self) -> RunningSums:
+        """The present window, as a view."""
+        return RunningSums(
+            packed=self._packed[: self._entries],
+            first=self.first,
+            step=self._thin,
+            scale=self._scale,
+            sample_rate_hz=self._stream.sample_rate_hz,
+            centre_hz=self._carrier_hz,
+        )
+
+
+def running_sums(block: SampleBlock, carrier_hz: float) -> RunningSums:
+    """Running sum of a single block mixed to zero at an RF carrier frequency."""
+    buffer = RunningSumBuffer(block.stream, carrier_hz, block.samples.shape[0] + 1)
+    buffer.restart(block.first)
+    skipped = block.first - buffer.first  # entries stand at multiples of the thinning
+    if skipped:
+        skipped = buffer.grain - skipped
+        buffer.restart(block.first + skipped)
+    buffer.append(SampleBlock(block.stream, block.first + skipped, block.samples[skipped:]))
+    return buffer.sums
+
+
+def correlate(
+    sums: RunningSums, command: NcoCommand, runs: CodeRuns, taps_chips: FloatArray, periods: int
+) -> ComplexArray:
+    """Correlate `periods` code periods from the command on with every tap, (periods, taps).
+
+    taps_chips: offset of each local replica, early positive. Scaled to the input's amplitude.
+    """
+    out = np.empty((periods, taps_chips.size), dtype=np.complex128)
+    correlate_periods(
+        sums.packed, sums.first, sums.step, sums.sample_rate_hz, command, *runs, taps_chips, out
+    )
+    out *= sums.scale
+    return out
+
+
+def resample(sums: RunningSums, first: int, rate_hz: float, count: int) -> NDArray[np.complex64]:
+    """`count` samples at `rate_hz` from sample `first` on: each the sum of what falls into it.
+
+    Output sample m fills [first − ½ + m·r, first − ½ + (m + 1)·r), r = sample rate / rate_hz.
+    """
+    out = np.empty(count, dtype=np.complex64)
+    resample_sums(
+        sums.packed,
+        (first - sums.first) / sums.step,
+        sums.sample_rate_hz / (rate_hz * sums.step),
+        sums.scale,
+        out,
+    )
+    return out
