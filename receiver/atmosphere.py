@@ -1,0 +1,89 @@
+"""Delay of the signal in ionosphere and troposphere. All delays in metres, positive."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.records import GPS_L1CA, FloatArray, Klobuchar
+
+_DAY_S: Final = 86_400.0
+_TROPOPAUSE_M: Final = 11_000.0
+
+
+def klobuchar_delay(
+    coefficients: Klobuchar,
+    lat_rad: float,
+    lon_rad: float,
+    azimuth_rad: FloatArray,
+    elevation_rad: FloatArray,
+    tow_s: float,
+    carrier_hz: float = GPS_L1CA.carrier_hz,
+) -> FloatArray:
+    """Ionospheric delay of the code, m, at a carrier frequency (the phase is early by as much).
+
+    A satellite below the horizon gets the delay of the horizon: the thin-shell model has no
+    meaning there.
+
+    Parameters: azimuth and elevation, shape (k,); tow_s, GPST.
+    Source: IS-GPS-200 20.3.3.5.2.5, scaled by (L1/f)².
+    """
+    E = np.maximum(elevation_rad, 0.0) / np.pi  # the model counts angles in semicircles
+    psi = 0.0137 / (E + 0.11) - 0.022
+    lat_i = np.clip(lat_rad / np.pi + psi * np.cos(azimuth_rad), -0.416, 0.416)
+    lon_i = lon_rad / np.pi + psi * np.sin(azimuth_rad) / np.cos(lat_i * np.pi)
+    lat_m = lat_i + 0.064 * np.cos((lon_i - 1.617) * np.pi)
+    local_s = np.mod(0.5 * _DAY_S * lon_i + tow_s, _DAY_S)
+    amplitude_s = np.maximum(np.polynomial.polynomial.polyval(lat_m, coefficients.alpha), 0.0)
+    period_s = np.maximum(np.polynomial.polynomial.polyval(lat_m, coefficients.beta), 72_000.0)
+    x = 2.0 * np.pi * (local_s - 50_400.0) / period_s
+    day_s = np.where(np.abs(x) < 1.57, amplitude_s * (1.0 - x**2 / 2.0 + x**4 / 24.0), 0.0)
+    slant = 1.0 + 16.0 * (0.53 - E) ** 3
+    at_l1_m = SPEED_OF_LIGHT_MPS * slant * (5e-9 + day_s)
+    return np.asarray(at_l1_m * (GPS_L1CA.carrier_hz / carrier_hz) ** 2)
+
+
+def standard_atmosphere(
+    height_m: float, relative_humidity: float = 0.5
+) -> tuple[float, float, float]:
+    """Pressure and water vapour pressure in hPa, temperature in K, at a height.
+
+    ICAO standard atmosphere: 6.5 K/km up to the tropopause, isothermal above. Heights under
+    −1 km count as −1 km.
+    """
+    height_m = max(height_m, -1000.0)
+    low_m = min(height_m, _TROPOPAUSE_M)
+    temperature_k = 288.15 - 6.5e-3 * low_m
+    pressure_hpa = 1013.25 * (temperature_k / 288.15) ** 5.25588
+    pressure_hpa *= float(np.exp(-(height_m - low_m) * 1.576885e-4))
+    vapour_hpa = (
+        6.108
+        * relative_humidity
+        * float(np.exp((17.15 * temperature_k - 4684.0) / (temperature_k - 38.45)))
+        * float(np.exp(-(height_m - low_m) / 2000.0))
+    )
+    return pressure_hpa, vapour_hpa, temperature_k
+
+
+def saastamoinen_delay(
+    lat_rad: float, height_m: float, elevation_rad: FloatArray, relative_humidity: float = 0.5
+) -> FloatArray:
+    """Tropospheric delay, m, in a standard atmosphere.
+
+    Zenith delays of Saastamoinen (1972) times the mapping of Black and Eisner (RTCA DO-229
+    A.4.2.4: 1 % down to 4°, there with its correction down to 2°). Satellites below 2° get the
+    delay of 2°, some 60 m at sea level: nothing better is known, and an aircraft that sees them
+    should give them little weight.
+
+    Parameters: elevation, shape (k,).
+    """
+    pressure_hpa, vapour_hpa, temperature_k = standard_atmosphere(height_m, relative_humidity)
+    gravity = 1.0 - 0.00266 * np.cos(2.0 * lat_rad) - 0.28e-6 * max(height_m, -1000.0)
+    dry_m = 0.0022768 * pressure_hpa / gravity
+    wet_m = 0.002277 * (1255.0 / temperature_k + 0.05) * vapour_hpa
+    E = np.maximum(elevation_rad, np.radians(2.0))
+    low_deg = np.maximum(4.0 - np.degrees(E), 0.0)
+    mapping = 1.001 / np.sqrt(0.002001 + np.sin(E) ** 2) * (1.0 + 0.015 * low_deg**2)
+    return np.asarray((dry_m + wet_m) * mapping)

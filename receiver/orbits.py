@@ -1,0 +1,281 @@
+"""Satellite position, velocity and clock from broadcast ephemerides, and the line of sight to them.
+
+Signs (SPEC 1): range rate is positive when range grows; Doppler is −range rate / wavelength.
+Everything is ECEF; what a signal left at its transmission is turned into the frame of its
+reception (Sagnac) by `line_of_sight` alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from deepgnss.core.constants import (
+    EARTH_RATE_RADPS,
+    GM_GPS_M3PS2,
+    RELATIVITY_F_SPRM,
+    SPEED_OF_LIGHT_MPS,
+)
+from deepgnss.core.frames import azimuth_elevation
+from deepgnss.core.records import Ephemeris, FloatArray, NavData
+from deepgnss.core.time import GpsTime
+
+
+class SystemConstants(NamedTuple):
+    """What a system's broadcast orbit was fitted with."""
+
+    gm_m3ps2: float
+    earth_rate_radps: float
+    relativity_sprm: float  # F = −2 √GM / c²
+
+
+SYSTEMS: Final = {
+    "G": SystemConstants(GM_GPS_M3PS2, EARTH_RATE_RADPS, RELATIVITY_F_SPRM),
+    "C": SystemConstants(  # BDS-SIS-ICD 2.1, 5.2.4.10 and 5.2.4.12
+        3.986004418e14, 7.2921150e-5, -2.0 * 3.986004418e14**0.5 / SPEED_OF_LIGHT_MPS**2
+    ),
+}
+
+MINIMUM_ELEVATION_KNOWN_M: Final = 1.0e6
+"""Distance from the geocentre below which a position has no meaningful horizon."""
+
+
+class SatelliteStates(NamedTuple):
+    """State of satellites at their times of transmission, in the ECEF frame of that instant."""
+
+    r_e_m: FloatArray  # (…, k, 3)
+    v_e_mps: FloatArray  # (…, k, 3)
+    clock_s: FloatArray  # (…, k) satellite clock − GPST, with relativity, without group delay
+    drift_sps: FloatArray  # (…, k)
+    group_delay_s: FloatArray  # (k,) a single-frequency user's clock is clock_s − group_delay_s
+
+
+class LineOfSight(NamedTuple):
+    """Geometry between an antenna at reception and satellites at transmission."""
+
+    range_m: FloatArray  # (k,) with Sagnac
+    range_rate_mps: FloatArray  # (k,) d(range)/d(time of reception)
+    unit_e: FloatArray  # (k, 3) from antenna to satellite, frame of reception
+    rate_scale: FloatArray  # (k,) d(range rate)/d(antenna velocity) is −unit_e · rate_scale
+
+
+class Prediction(NamedTuple):
+    """Everything about satellites seen from an antenna at an instant of GPST."""
+
+    sight: LineOfSight
+    azimuth_rad: FloatArray  # (k,)
+    elevation_rad: FloatArray  # (k,)
+    clock_s: FloatArray  # (k,) satellite clock at transmission, group delay taken off
+    drift_sps: FloatArray  # (k,)
+    pseudorange_m: FloatArray  # (k,) range − c·clock: atmosphere and receiver clock are missing
+    pseudorange_rate_mps: FloatArray  # (k,)
+
+
+_ELEMENTS: Final = (
+    "sqrt_a_rm",
+    "eccentricity",
+    "m0_rad",
+    "delta_n_radps",
+    "omega0_rad",
+    "omega_rad",
+    "omega_dot_radps",
+    "i0_rad",
+    "idot_radps",
+    "cuc_rad",
+    "cus_rad",
+    "crc_m",
+    "crs_m",
+    "cic_rad",
+    "cis_rad",
+    "af0_s",
+    "af1_sps",
+    "af2_sps2",
+    "group_delay_s",
+)
+
+
+def satellite_states(
+    ephemerides: Sequence[Ephemeris], reference: GpsTime, offset_s: FloatArray
+) -> SatelliteStates:
+    """Position, velocity and clock of satellites at given instants of GPST.
+
+    Parameters
+    ----------
+    ephemerides: one of each satellite, k.
+    reference, offset_s: the instants are reference + offset_s; shape (k,), or (…, k) for several
+        instants of each satellite, or anything that broadcasts with (k,).
+
+    Source: IS-GPS-200 table 20-IV; velocity by differentiating it; clock 20.3.3.3.3.1.
+    """
+    table = np.array([[getattr(e, name) for name in _ELEMENTS] for e in ephemerides]).T
+    (sqrt_a, ecc, m0, delta_n, omega0, omega, omega_dot, i0, idot) = table[:9]
+    (cuc, cus, crc, crs, cic, cis, af0, af1, af2, group_delay_s) = table[9:]
+    gm, earth_rate, relativity = np.array([SYSTEMS[e.satellite[0]] for e in ephemerides]).T
+    toe_tow = np.array([e.toe.tow_s for e in ephemerides])
+    tk = offset_s + np.array([reference.since(e.toe) for e in ephemerides])
+    tc = offset_s + np.array([reference.since(e.toc) for e in ephemerides])
+
+    a = sqrt_a**2
+    n = np.sqrt(gm / a**3) + delta_n
+    E = _eccentric_anomaly(m0 + n * tk, ecc)
+    sin_E, cos_E = np.sin(E), np.cos(E)
+    E_dot = n / (1.0 - ecc * cos_E)
+
+    root = np.sqrt(1.0 - ecc**2)
+    phi = np.arctan2(root * sin_E, cos_E - ecc) + omega
+    phi_dot = root * E_dot / (1.0 - ecc * cos_E)
+    sin_2, cos_2 = np.sin(2.0 * phi), np.cos(2.0 * phi)
+    u = phi + cus * sin_2 + cuc * cos_2
+    u_dot = phi_dot * (1.0 + 2.0 * (cus * cos_2 - cuc * sin_2))
+    r = a * (1.0 - ecc * cos_E) + crs * sin_2 + crc * cos_2
+    r_dot = a * ecc * sin_E * E_dot + 2.0 * phi_dot * (crs * cos_2 - crc * sin_2)
+    i = i0 + idot * tk + cis * sin_2 + cic * cos_2
+    i_dot = idot + 2.0 * phi_dot * (cis * cos_2 - cic * sin_2)
+    node_dot = omega_dot - earth_rate
+    node = omega0 + node_dot * tk - earth_rate * toe_tow
+
+    sin_u, cos_u = np.sin(u), np.cos(u)
+    sin_i, cos_i = np.sin(i), np.cos(i)
+    sin_o, cos_o = np.sin(node), np.cos(node)
+    x, y = r * cos_u, r * sin_u  # in the orbital plane, x towards the ascending node
+    x_dot = r_dot * cos_u - y * u_dot
+    y_dot = r_dot * sin_u + x * u_dot
+    y_i, z_i = y * cos_i, y * sin_i
+    y_i_dot = y_dot * cos_i - z_i * i_dot
+    z_i_dot = y_dot * sin_i + y_i * i_dot
+    X, Y = x * cos_o - y_i * sin_o, x * sin_o + y_i * cos_o
+    return SatelliteStates(
+        r_e_m=np.stack([X, Y, z_i], axis=-1),
+        v_e_mps=np.stack(
+            [
+                x_dot * cos_o - y_i_dot * sin_o - Y * node_dot,
+                x_dot * sin_o + y_i_dot * cos_o + X * node_dot,
+                z_i_dot,
+            ],
+            axis=-1,
+        ),
+        clock_s=af0 + tc * (af1 + tc * af2) + relativity * ecc * sqrt_a * sin_E,
+        drift_sps=af1 + 2.0 * af2 * tc + relativity * ecc * sqrt_a * cos_E * E_dot,
+        group_delay_s=group_delay_s,
+    )
+
+
+def _eccentric_anomaly(M: FloatArray, ecc: FloatArray) -> FloatArray:
+    """Solve Kepler's equation M = E − e sin E by Newton's method; e < 0.1 needs three steps."""
+    E = M + ecc * np.sin(M)
+    for _ in range(10):
+        step = (E - ecc * np.sin(E) - M) / (1.0 - ecc * np.cos(E))
+        E = E - step
+        if np.max(np.abs(step), initial=0.0) < 1e-9:  # quadratic: the error left is its square
+            break
+    return E
+
+
+def transmitted_states(
+    ephemerides: Sequence[Ephemeris], reference: GpsTime, clock_reading_s: FloatArray
+) -> SatelliteStates:
+    """States at the instants at which the satellites' own clocks showed given readings.
+
+    Parameters: clock readings as seconds after `reference`, shape (k,).
+    Source: IS-GPS-200 20.3.3.3.3 (t = t_sv − Δt_sv).
+    """
+    tc = clock_reading_s + np.array([reference.since(e.toc) for e in ephemerides])
+    clock_s = np.array([e.af0_s for e in ephemerides]) + tc * [e.af1_sps for e in ephemerides]
+    return satellite_states(ephemerides, reference, clock_reading_s - clock_s)
+
+
+def line_of_sight(r_e_m: FloatArray, v_e_mps: FloatArray, states: SatelliteStates) -> LineOfSight:
+    """Range, range rate and direction with the earth's rotation during travel (Sagnac).
+
+    The satellite is turned into the ECEF frame of reception by ω·range/c, so that
+    ρ(t) = |R(ωρ/c) r_s(t − ρ/c) − r(t)|; its derivative, with what the shrinking or growing of
+    the travel time itself does (some cm/s), is exact.
+
+    Parameters: antenna position (3,) and velocity (3,) at reception; states (k) at transmission.
+    """
+    x, y, z = states.r_e_m.T
+    vx, vy, vz = states.v_e_mps.T
+    range_m = np.linalg.norm(states.r_e_m - r_e_m, axis=-1)
+    for _ in range(2):  # the turn changes the range by 30 m, this one's turn by 1e-7 of that
+        turn = EARTH_RATE_RADPS / SPEED_OF_LIGHT_MPS * range_m
+        c, s = np.cos(turn), np.sin(turn)
+        satellite = np.stack([c * x + s * y, c * y - s * x, z], axis=-1)
+        vector = satellite - r_e_m
+        range_m = np.linalg.norm(vector, axis=-1)
+    unit = vector / range_m[..., np.newaxis]
+    moved = np.stack([c * vx + s * vy, c * vy - s * vx, vz], axis=-1)
+    turned = EARTH_RATE_RADPS * np.stack(
+        [satellite[..., 1], -satellite[..., 0], np.zeros_like(z)], axis=-1
+    )
+    towards = np.einsum("...i,...i", unit, moved)
+    scale = 1.0 / (1.0 + (towards - np.einsum("...i,...i", unit, turned)) / SPEED_OF_LIGHT_MPS)
+    return LineOfSight(range_m, (towards - unit @ v_e_mps) * scale, unit, scale)
+
+
+def predict(
+    ephemerides: Sequence[Ephemeris],
+    time: GpsTime,
+    r_e_m: FloatArray,
+    v_e_mps: FloatArray,
+) -> Prediction:
+    """What an antenna receives at an instant of GPST: light time, Sagnac, satellite clock.
+
+    Parameters: antenna position (3,) and velocity (3,) at `time`.
+    """
+    travel_s = np.full(len(ephemerides), 0.075)
+    states = satellite_states(ephemerides, time, -travel_s)
+    sight = line_of_sight(r_e_m, v_e_mps, states)
+    for _ in range(2):  # 4 km/s over a travel time first wrong by 20 ms, then by 0.1 µs
+        travel_s = sight.range_m / SPEED_OF_LIGHT_MPS
+        states = satellite_states(ephemerides, time, -travel_s)
+        sight = line_of_sight(r_e_m, v_e_mps, states)
+    azimuth, elevation = directions(r_e_m, sight)
+    clock_s = states.clock_s - states.group_delay_s
+    rate = sight.range_rate_mps
+    return Prediction(
+        sight,
+        azimuth,
+        elevation,
+        clock_s,
+        states.drift_sps,
+        sight.range_m - SPEED_OF_LIGHT_MPS * clock_s,
+        rate - (SPEED_OF_LIGHT_MPS - rate) * states.drift_sps,
+    )
+
+
+def directions(r_e_m: FloatArray, sight: LineOfSight) -> tuple[FloatArray, FloatArray]:
+    """Azimuth and elevation, rad, shape (k,) each; NaN while the position is deep in the earth."""
+    if np.linalg.norm(r_e_m) < MINIMUM_ELEVATION_KNOWN_M:
+        nothing = np.full_like(sight.range_m, np.nan)
+        return nothing, nothing
+    return azimuth_elevation(r_e_m, r_e_m + sight.range_m[:, np.newaxis] * sight.unit_e)
+
+
+# --- choice of ephemerides -----------------------------------------------------------------------
+
+
+def select(
+    nav: NavData, satellite: str, time: GpsTime, margin_s: float = 7200.0
+) -> Ephemeris | None:
+    """The ephemeris of a satellite whose reference time is nearest, None if none fits.
+
+    It fits within half its fit interval, plus a margin in which orbits are still good to some
+    metres. Of several with the same reference time the one sent last counts. Health is the
+    caller's matter.
+    """
+    best, best_key = None, (np.inf, 0.0)
+    for ephemeris in nav.ephemerides.get(satellite, ()):
+        age_s = abs(time.since(ephemeris.toe))
+        key = (age_s, -ephemeris.transmitted.since(time))
+        if age_s <= ephemeris.fit_hours * 1800.0 + margin_s and key < best_key:
+            best, best_key = ephemeris, key
+    return best
+
+
+def with_ephemeris(nav: NavData, ephemeris: Ephemeris) -> NavData:
+    """Navigation data enriched by an ephemeris."""
+    known = nav.ephemerides.get(ephemeris.satellite, ())
+    return replace(nav, ephemerides={**nav.ephemerides, ephemeris.satellite: (*known, ephemeris)})
