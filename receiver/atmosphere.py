@@ -20,7 +20,7 @@ def klobuchar_delay(
     azimuth_rad: FloatArray,
     elevation_rad: FloatArray,
     tow_s: float,
-    carrier_hz: float = GPS_L1CA.carrier_hz,
+    carrier_hz: float | FloatArray = GPS_L1CA.carrier_hz,
 ) -> FloatArray:
     """Ionospheric delay of the code, m, at a carrier frequency (the phase is early by as much).
 

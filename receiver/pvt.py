@@ -1,0 +1,449 @@
+"""Single-point position, velocity and time by weighted least squares.
+
+Observation equations (ECEF at reception, signs as SPEC 1):
+    P  = ρ + c·δ_r + ISB − c·(δ_s − TGD) + I + T
+    −λD = [ρ̇ + c·δ̇_r − (c − ρ̇)·δ̇_s] / (1 + δ̇_r)
+with ρ from the satellite at its time of transmission to the antenna at reception, Earth turned by
+the travel time. The transmission time is the satellite clock's reading, so the receiver clock does
+not enter the orbit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.frames import C_ne, geodetic
+from deepgnss.core.records import (
+    SIGNAL_IDS,
+    Ephemeris,
+    Epoch,
+    FloatArray,
+    NavData,
+    NavSolution,
+    Observation,
+)
+from deepgnss.receiver import orbits
+from deepgnss.receiver.atmosphere import klobuchar_delay, saastamoinen_delay
+from deepgnss.receiver.raim import check_residuals
+
+_MAX_ITERATIONS = 20
+_CONVERGED_M = 1.0  # the step after this one would be its square over the range: 1e-7 m
+_ATMOSPHERE_STEP_M = 1000.0  # its delays change by mm over this distance
+_PLAUSIBLE_HEIGHT_M = (-20e3, 2000e3)
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorModel:
+    """Standard deviations that weigh the observations.
+
+    Range: σ² = (URA/2)² + multipath²/sin²E + code_noise²·10^((45 − C/N0)/10)
+              + (ionosphere·I)² + (troposphere·T)²
+    Range rate: σ² = rate_floor² + rate_noise²·10^((45 − C/N0)/10)
+    where I and T are the modelled delays. A delay that is not modelled on purpose counts as
+    absent; with Klobuchar asked for but its coefficients not yet known, I is taken as its slant
+    factor times `unknown_zenith`, wholly uncertain.
+    """
+
+    multipath_m: float = 0.5
+    code_noise_m: float = 0.6
+    ionosphere: float = 0.4
+    unknown_zenith_m: float = 3.0
+    troposphere: float = 0.05
+    rate_floor_mps: float = 0.05
+    rate_noise_mps: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class PvtParameters:
+    """How positions are computed."""
+
+    elevation_mask_rad: float = float(np.radians(10.0))
+    ionosphere: Literal["klobuchar", "none"] = "klobuchar"
+    troposphere: Literal["saastamoinen", "none"] = "saastamoinen"
+    raim: bool = True
+    false_alarm: float = 1e-5  # of the residual test, per epoch
+    errors: ErrorModel = field(default_factory=ErrorModel)
+
+
+class _Measured(NamedTuple):
+    """Observations that have an ephemeris, as columns."""
+
+    satellites: tuple[str, ...]
+    usable: NDArray[np.bool_]  # False: unhealthy
+    ephemerides: tuple[Ephemeris, ...]
+    states: orbits.SatelliteStates
+    ranges_m: FloatArray  # pseudorange with the satellite clock taken off
+    rates_mps: FloatArray  # −λD, NaN where there is none
+    carriers_hz: FloatArray
+    cn0_dbhz: FloatArray
+
+
+class _Fix(NamedTuple):
+    """Result of the adjustment of one set of satellites."""
+
+    r_e_m: FloatArray
+    biases_m: Mapping[str, float]  # receiver clock in metres, by system
+    H: FloatArray
+    sigma_m: FloatArray
+    residuals_m: FloatArray  # of all measured; NaN for systems that are not in the solution
+    azimuth_rad: FloatArray
+    elevation_rad: FloatArray
+    used: NDArray[np.bool_]
+    sight: orbits.LineOfSight
+    low: Mapping[str, str]  # satellite → how far it is below the mask
+
+
+class _Failure(NamedTuple):
+    """Why there is none."""
+
+    reason: str
+    low: Mapping[str, str]
+
+
+def solve(
+    epoch: Epoch,
+    nav: NavData,
+    parameters: PvtParameters,
+    previous: NavSolution | None = None,
+) -> NavSolution:
+    """Position, velocity and clock from the observations of one epoch.
+
+    Parameters
+    ----------
+    epoch: one observation per satellite; `transmit` is the satellite clock's reading.
+    previous: a solution to start from; without one the iteration starts at the geocentre.
+
+    Returns a solution with `valid` False and a reason where there is none. `rejected` also names
+    satellites of the position whose Doppler was left out of the velocity ("Doppler: …").
+    """
+    measured, rejected = _measure(epoch, nav)
+    start_e_m = previous.r_e_m if previous is not None and previous.valid else np.zeros(3)
+    active = measured.usable.copy()
+    while True:
+        fix = _adjust(epoch, nav, parameters, measured, active, start_e_m)
+        rejected |= fix.low
+        if isinstance(fix, _Failure):
+            return _invalid(epoch, fix.reason + _tally(rejected), rejected)
+        if not parameters.raim:
+            break
+        rows = np.flatnonzero(fix.used)
+        verdict = check_residuals(
+            fix.H, fix.residuals_m[rows], fix.sigma_m[rows], parameters.false_alarm
+        )
+        if not verdict.passed:
+            return _invalid(
+                epoch,
+                f"residuals disagree: chi-square {verdict.statistic:.1f} > {verdict.limit:.1f} "
+                f"over {len(rows)} satellites, too few to tell which is wrong",
+                rejected,
+            )
+        if not verdict.excluded:
+            break
+        for row in rows[list(verdict.excluded)]:
+            active[row] = False
+            rejected[measured.satellites[row]] = (
+                f"residual {fix.residuals_m[row]:.1f} m at σ {fix.sigma_m[row]:.1f} m"
+            )
+        start_e_m = fix.r_e_m
+    return _solution(epoch, parameters, measured, fix, rejected)
+
+
+def _measure(epoch: Epoch, nav: NavData) -> tuple[_Measured, dict[str, str]]:
+    """Observations with their satellites' states, and why others were left out."""
+    rejected: dict[str, str] = {}
+    chosen: list[tuple[Observation, Ephemeris]] = []
+    for observation in epoch.observations:
+        satellite = observation.satellite
+        ephemeris = orbits.select(nav, satellite, epoch.time)
+        if ephemeris is None:
+            rejected[satellite] = "no ephemeris"
+        elif not np.isfinite(observation.pseudorange_m):
+            rejected[satellite] = "no pseudorange"
+        else:
+            chosen.append((observation, ephemeris))
+            if ephemeris.health != 0:
+                rejected[satellite] = "unhealthy"
+    observations = tuple(observation for observation, _ in chosen)
+    ephemerides = tuple(ephemeris for _, ephemeris in chosen)
+    readings_s = np.array([o.transmit.since(epoch.time) for o in observations])
+    carriers_hz = np.array([SIGNAL_IDS[o.signal].carrier_hz for o in observations])
+    dopplers_hz = np.array([o.doppler_hz for o in observations])
+    states = orbits.transmitted_states(ephemerides, epoch.time, readings_s) if chosen else _NOBODY
+    measured = _Measured(
+        satellites=tuple(o.satellite for o in observations),
+        usable=np.array([e.health == 0 for e in ephemerides], dtype=bool),
+        ephemerides=ephemerides,
+        states=states,
+        ranges_m=np.array([o.pseudorange_m for o in observations])
+        + SPEED_OF_LIGHT_MPS * (states.clock_s - states.group_delay_s),
+        rates_mps=-SPEED_OF_LIGHT_MPS / carriers_hz * dopplers_hz,
+        carriers_hz=carriers_hz,
+        cn0_dbhz=np.array([o.cn0_dbhz for o in observations]),
+    )
+    return measured, rejected
+
+
+_NOBODY = orbits.SatelliteStates(np.zeros((0, 3)), np.zeros((0, 3)), *(np.zeros(0),) * 3)
+
+
+def _adjust(
+    epoch: Epoch,
+    nav: NavData,
+    parameters: PvtParameters,
+    measured: _Measured,
+    active: NDArray[np.bool_],
+    start_e_m: FloatArray,
+) -> _Fix | _Failure:
+    """Gauss–Newton over the active satellites above the mask."""
+    r_e_m = start_e_m
+    delays_m, sigma_m = np.zeros(len(active)), np.ones(len(active))
+    elevation = np.full(len(active), np.nan)
+    azimuth = elevation
+    used, modelled_at_e_m = active, None
+    low: dict[str, str] = {}
+    for _ in range(_MAX_ITERATIONS):
+        sight = orbits.line_of_sight(r_e_m, np.zeros(3), measured.states)
+        near_earth = np.linalg.norm(r_e_m) > 6.3e6
+        if near_earth and (
+            modelled_at_e_m is None or np.linalg.norm(r_e_m - modelled_at_e_m) > _ATMOSPHERE_STEP_M
+        ):
+            azimuth, elevation = orbits.directions(r_e_m, sight)
+            used = active & (elevation >= parameters.elevation_mask_rad)
+            low = _below_mask(parameters, measured, active, elevation)
+            delays_m, sigma_m = _delays(epoch, nav, parameters, measured, r_e_m, azimuth, elevation)
+            modelled_at_e_m = r_e_m
+        rows = np.flatnonzero(used)
+        systems = _systems(measured, rows)
+        needed = 3 + len(systems)
+        if len(rows) < max(needed, 4):
+            return _Failure(f"{len(rows)} of {max(needed, 4)} satellites needed", low)
+        misfit = measured.ranges_m - delays_m - sight.range_m
+        H = np.hstack(
+            [
+                -sight.unit_e[rows],
+                np.array([[measured.satellites[k][0] == s for s in systems] for k in rows], float),
+            ]
+        )
+        weight = 1.0 / sigma_m[rows]
+        x, _, rank, _ = np.linalg.lstsq(H * weight[:, np.newaxis], misfit[rows] * weight)
+        if rank < needed:
+            return _Failure(f"geometry of {len(rows)} satellites is singular", low)
+        step_m = float(np.linalg.norm(x[:3]))
+        r_e_m = r_e_m + x[:3]
+        if step_m < _CONVERGED_M and modelled_at_e_m is not None:
+            break
+    else:
+        return _Failure(f"no convergence: last of {_MAX_ITERATIONS} steps was {step_m:.0f} m", low)
+    height_m = geodetic(r_e_m)[2]
+    if not _PLAUSIBLE_HEIGHT_M[0] < height_m < _PLAUSIBLE_HEIGHT_M[1]:
+        return _Failure(f"height of {height_m / 1e3:.0f} km is impossible", low)
+    biases_m = dict(zip(systems, (float(b) for b in x[3:]), strict=True))
+    own_m = np.array([biases_m.get(s[0], np.nan) for s in measured.satellites])
+    moved_m = -sight.unit_e @ x[:3]
+    return _Fix(
+        r_e_m, biases_m, H, sigma_m, misfit - moved_m - own_m, azimuth, elevation, used, sight, low
+    )
+
+
+def _systems(measured: _Measured, rows: NDArray[np.intp]) -> list[str]:
+    """System letters in use, GPS first: the first one's clock is the receiver's."""
+    return sorted({measured.satellites[row][0] for row in rows}, key=lambda s: (s != "G", s))
+
+
+def _below_mask(
+    parameters: PvtParameters,
+    measured: _Measured,
+    active: NDArray[np.bool_],
+    elevation: FloatArray,
+) -> dict[str, str]:
+    mask_deg = np.degrees(parameters.elevation_mask_rad)
+    return {
+        measured.satellites[
+            row
+        ]: f"elevation {np.degrees(elevation[row]):.1f}° below {mask_deg:.1f}°"
+        for row in np.flatnonzero(active & (elevation < parameters.elevation_mask_rad))
+    }
+
+
+def _tally(rejected: Mapping[str, str]) -> str:
+    """How many satellites were left out for which kind of reason."""
+    kinds = [
+        next((kind for kind in ("elevation", "residual") if reason.startswith(kind)), reason)
+        for reason in rejected.values()
+    ]
+    counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+    return f" (left out: {counts})" if counts else ""
+
+
+def _delays(
+    epoch: Epoch,
+    nav: NavData,
+    parameters: PvtParameters,
+    measured: _Measured,
+    r_e_m: FloatArray,
+    azimuth: FloatArray,
+    elevation: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Atmospheric delay of each range, and each range's standard deviation, m, shape (k,)."""
+    model = parameters.errors
+    lat, lon, height_m = geodetic(r_e_m)
+    delay_m = np.zeros(len(azimuth))
+    sin_el = np.sin(np.maximum(elevation, np.radians(2.0)))
+    variance = (
+        (np.array([e.accuracy_m for e in measured.ephemerides]) / 2.0) ** 2
+        + (model.multipath_m / sin_el) ** 2
+        + model.code_noise_m**2 * 10.0 ** ((45.0 - measured.cn0_dbhz) / 10.0)
+    )
+    if parameters.troposphere == "saastamoinen":
+        wet_and_dry_m = saastamoinen_delay(lat, height_m, elevation)
+        delay_m += wet_and_dry_m
+        variance += (model.troposphere * wet_and_dry_m) ** 2
+    if parameters.ionosphere == "klobuchar":
+        coefficients = nav.klobuchar.get("G")
+        if coefficients is None:
+            slant = 1.0 + 16.0 * (0.53 - np.maximum(elevation, 0.0) / np.pi) ** 3
+            variance += (model.unknown_zenith_m * slant) ** 2
+        else:
+            tow_s = epoch.time.tow_s
+            iono_m = klobuchar_delay(
+                coefficients, lat, lon, azimuth, elevation, tow_s, measured.carriers_hz
+            )
+            delay_m += iono_m
+            variance += (model.ionosphere * iono_m) ** 2
+    return delay_m, np.sqrt(variance)
+
+
+class _Velocity(NamedTuple):
+    v_e_mps: FloatArray
+    drift_sps: float
+    covariance_m2ps2: FloatArray
+
+
+def _velocity(
+    parameters: PvtParameters, measured: _Measured, fix: _Fix, rejected: dict[str, str]
+) -> _Velocity:
+    """Velocity and clock drift from the Dopplers of the satellites used for the position."""
+    model, sight = parameters.errors, fix.sight
+    still = sight.range_rate_mps  # of an antenna at rest
+    misfit = measured.rates_mps - still + (SPEED_OF_LIGHT_MPS - still) * measured.states.drift_sps
+    H = np.column_stack(
+        [
+            -sight.unit_e * sight.rate_scale[:, np.newaxis],
+            1.0 - measured.rates_mps / SPEED_OF_LIGHT_MPS,
+        ]
+    )
+    sigma = np.sqrt(
+        model.rate_floor_mps**2
+        + model.rate_noise_mps**2 * 10.0 ** ((45.0 - measured.cn0_dbhz) / 10.0)
+    )
+    rows = np.flatnonzero(fix.used & np.isfinite(misfit))
+    while len(rows) >= 4:
+        A = H[rows] / sigma[rows, np.newaxis]
+        x, _, rank, _ = np.linalg.lstsq(A, misfit[rows] / sigma[rows])
+        if rank < 4:
+            break
+        residuals = misfit[rows] - H[rows] @ x
+        excluded: tuple[int, ...] = ()
+        if parameters.raim:
+            verdict = check_residuals(H[rows], residuals, sigma[rows], parameters.false_alarm)
+            if not verdict.passed:
+                break
+            excluded = verdict.excluded
+        if not excluded:
+            drift_sps = float(x[3]) / SPEED_OF_LIGHT_MPS
+            return _Velocity(np.asarray(x[:3]), drift_sps, _inverse(A.T @ A))
+        for row in excluded:
+            satellite = measured.satellites[rows[row]]
+            rejected[satellite] = f"Doppler: residual {residuals[row]:.2f} m/s"
+        rows = np.delete(rows, excluded)
+    return _Velocity(np.full(3, np.nan), np.nan, np.full((4, 4), np.nan))
+
+
+def _solution(
+    epoch: Epoch,
+    parameters: PvtParameters,
+    measured: _Measured,
+    fix: _Fix,
+    rejected: dict[str, str],
+) -> NavSolution:
+    velocity = _velocity(parameters, measured, fix, rejected)
+    rows = np.flatnonzero(fix.used)
+    reference, *others = fix.biases_m
+    lat, lon, _ = geodetic(fix.r_e_m)
+    # Columns as receiver clock and biases against it instead of one clock per system.
+    H = fix.H.copy()
+    H[:, 3] = 1.0
+    weighted = H / fix.sigma_m[rows, np.newaxis]
+    return NavSolution(
+        time=epoch.time,
+        valid=True,
+        reason="",
+        r_e_m=fix.r_e_m,
+        v_e_mps=velocity.v_e_mps,
+        clock_s=fix.biases_m[reference] / SPEED_OF_LIGHT_MPS,
+        drift_sps=velocity.drift_sps,
+        isb_s={
+            system: (fix.biases_m[system] - fix.biases_m[reference]) / SPEED_OF_LIGHT_MPS
+            for system in others
+        },
+        covariance_m2=_inverse(weighted.T @ weighted)[:4, :4],
+        velocity_covariance_m2ps2=velocity.covariance_m2ps2,
+        dops=dilutions(H, C_ne(lat, lon)),
+        used=tuple(measured.satellites[row] for row in rows),
+        rejected=rejected,
+        residuals_m={
+            satellite: float(residual)
+            for satellite, residual in zip(measured.satellites, fix.residuals_m, strict=True)
+            if np.isfinite(residual)
+        },
+        azimuth_elevation_rad={
+            satellite: (float(azimuth), float(elevation))
+            for satellite, azimuth, elevation in zip(
+                measured.satellites, fix.azimuth_rad, fix.elevation_rad, strict=True
+            )
+        },
+    )
+
+
+def dilutions(H: FloatArray, C_ne: FloatArray) -> dict[str, float]:
+    """Dilutions of precision of a design matrix (n, ≥ 4): position (ECEF), clock, biases."""
+    Q = _inverse(H.T @ H)
+    n, e, d = np.einsum("ij,jk,ik->i", C_ne, Q[:3, :3], C_ne)
+    return {
+        "gdop": float(np.sqrt(np.trace(Q))),
+        "pdop": float(np.sqrt(n + e + d)),
+        "hdop": float(np.sqrt(n + e)),
+        "vdop": float(np.sqrt(d)),
+        "tdop": float(np.sqrt(Q[3, 3])),
+    }
+
+
+def _inverse(normal: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(normal), np.float64)
+
+
+def _invalid(epoch: Epoch, reason: str, rejected: Mapping[str, str]) -> NavSolution:
+    unknown, matrix = np.full(3, np.nan), np.full((4, 4), np.nan)
+    return NavSolution(
+        time=epoch.time,
+        valid=False,
+        reason=reason,
+        r_e_m=unknown,
+        v_e_mps=unknown,
+        clock_s=np.nan,
+        drift_sps=np.nan,
+        isb_s={},
+        covariance_m2=matrix,
+        velocity_covariance_m2ps2=matrix,
+        dops={},
+        used=(),
+        rejected=dict(rejected),
+        residuals_m={},
+        azimuth_elevation_rad={},
+    )

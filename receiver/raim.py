@@ -1,0 +1,89 @@
+"""Receiver autonomous integrity monitoring: do the residuals agree, and who is to blame if not."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
+
+from deepgnss.core.records import FloatArray
+
+
+class RaimResult(NamedTuple):
+    """Verdict over a set of measurements."""
+
+    passed: bool
+    statistic: float  # Σ(residual/σ)² of what is left
+    limit: float  # its chi-square quantile; inf where nothing can be tested
+    excluded: tuple[int, ...]  # rows to leave out
+
+
+def check_residuals(
+    H: FloatArray,
+    residuals: FloatArray,
+    sigma: FloatArray,
+    false_alarm: float,
+    at_once: int = 3,
+) -> RaimResult:
+    """Chi-square test of least-squares residuals and search for the rows that spoil it.
+
+    If the test fails, the smallest set of rows whose removal makes it pass is taken; of equally
+    large sets the one that leaves the least. All sets of up to `at_once` rows are tried together
+    (greedy removal one by one blames the innocent when two faults pull the same way); when none
+    of them suffices the best largest one goes and the search starts again. What is left must be
+    testable: at least one more row than unknowns.
+
+    Parameters
+    ----------
+    H: design matrix (n, p) of full rank. residuals: (n,) after adjustment with weights σ⁻².
+    sigma: (n,) standard deviations. false_alarm: probability of a failed test without fault.
+
+    Source: chi-square and subset statistics of linear models; removing rows S lowers the sum of
+    squares by e_Sᵀ Q_SS⁻¹ e_S, with Q the projector onto the residual space.
+    """
+    rows, unknowns = H.shape
+    A = H / sigma[:, np.newaxis]
+    e = residuals / sigma
+    statistic = float(e @ e)
+    dof = rows - unknowns
+    if dof == 0:
+        return RaimResult(True, statistic, np.inf, ())
+    limit = float(chdtri(dof, false_alarm))
+    if statistic <= limit:
+        return RaimResult(True, statistic, limit, ())
+    q, _ = np.linalg.qr(A)
+    Q = np.eye(rows) - q @ q.T
+    best: tuple[int, ...] = ()
+    left = statistic
+    for count in range(1, min(at_once, dof - 1) + 1):
+        sets = np.array(list(combinations(range(rows), count)))
+        left, best = _best_set(Q, e, sets, statistic)
+        if best and left <= chdtri(dof - count, false_alarm):
+            return RaimResult(True, left, float(chdtri(dof - count, false_alarm)), best)
+    if not best or dof - len(best) < 2:
+        return RaimResult(False, statistic, limit, ())
+    kept = np.setdiff1d(np.arange(rows), best)
+    x = np.linalg.lstsq(A[kept], e[kept], rcond=None)[0]
+    again = check_residuals(
+        H[kept], residuals[kept] - H[kept] @ x, sigma[kept], false_alarm, at_once
+    )
+    if not again.passed:
+        return RaimResult(False, statistic, limit, ())
+    return again._replace(excluded=(*best, *(int(kept[row]) for row in again.excluded)))
+
+
+def _best_set(
+    Q: FloatArray, e: FloatArray, sets: np.ndarray, statistic: float
+) -> tuple[float, tuple[int, ...]]:
+    """The set whose removal leaves the least, and what it leaves; () where none can be spared."""
+    blocks = Q[sets[:, :, np.newaxis], sets[:, np.newaxis, :]]
+    spare = np.linalg.eigvalsh(blocks)[:, 0] > 1e-6  # otherwise the rest would be singular
+    if not spare.any():
+        return statistic, ()
+    sets, blocks = sets[spare], blocks[spare]
+    e_sets = e[sets][:, :, np.newaxis]
+    gain = (e_sets * np.linalg.solve(blocks, e_sets)).sum(axis=(1, 2))
+    winner = int(np.argmax(gain))
+    return max(statistic - float(gain[winner]), 0.0), tuple(int(row) for row in sets[winner])
