@@ -201,7 +201,7 @@ def _packing_contradictions(stream: StreamFormat) -> list[str]:
             f"packing.field [{shift}, {width}]: [shift, bits] inside {8 * packing.word_bytes} bits",
         ),
         (
-            width % bits == 0,
+            not stream.is_packed or width % bits == 0,
             f"packing.field: {width} bits do not hold whole {bits}-bit values",
         ),
         (
