@@ -35,6 +35,16 @@ BDS_B1I = SignalId("BDS_B1I", "C", "2I", 1_561.098e6, 2.046e6, 2046)
 SIGNAL_IDS: Mapping[str, SignalId] = {s.name: s for s in (GPS_L1CA, BDS_B1I)}
 
 
+class Oscillator(NamedTuple):
+    """Power law of an oscillator's relative frequency, S_y(f) = h0 + h₋₁/f + h₋₂/f², one-sided."""
+
+    name: str
+    h0_s: float
+    h_1: float
+    h_2_hz: float
+    g_sensitivity: float  # relative frequency per g
+
+
 # --- samples -------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,18 @@
+"""Configuration of a run: one YAML file, held to a typed schema."""
+
+from deepgnss.io.config.aids import OscillatorConfig, oscillator_names
+from deepgnss.io.config.load import json_schema, load_config, resolved_yaml
+from deepgnss.io.config.notes import notes
+from deepgnss.io.config.recording import StreamConfig
+from deepgnss.io.config.schema import Config
+
+__all__ = [
+    "Config",
+    "OscillatorConfig",
+    "StreamConfig",
+    "json_schema",
+    "load_config",
+    "notes",
+    "oscillator_names",
+    "resolved_yaml",
+]

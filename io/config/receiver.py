@@ -1,0 +1,167 @@
+"""Sections `acquisition`, `tracking` and `positioning`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from deepgnss.io.config.quantity import Quantity, Section, Switch, misfit
+
+BIT_MS = 20
+MAX_LOOP_PRODUCT = 0.4
+"""Limit on bandwidth × coherent time. The loops' analogue coefficients, run in discrete steps, put
+a pole outside the unit circle from 0.42 (order 2) and 0.455 (order 3) on."""
+
+_LATER_LOOPS = ("fft", "kalman", "long_update")
+
+
+def _whole_ms(value: float) -> int:
+    return round(value * 1e3)
+
+
+def _check_coherent(coherent_s: float) -> None:
+    ms = _whole_ms(coherent_s)
+    if abs(coherent_s * 1e3 - ms) > 1e-6 or BIT_MS % ms:
+        raise misfit("expected 0.001, 0.002, 0.004, 0.005, 0.010 or 0.020 s", "coherent")
+
+
+def _check_product(bandwidth_hz: float, coherent_s: float) -> None:
+    if bandwidth_hz * coherent_s > MAX_LOOP_PRODUCT:
+        raise misfit(
+            f"expected bandwidth × coherent of at most {MAX_LOOP_PRODUCT:g} for a stable loop: "
+            f"{MAX_LOOP_PRODUCT / coherent_s:g} Hz with coherent {coherent_s:g} s",
+            "bandwidth",
+        )
+
+
+class AcquisitionConfig(Section):
+    """Code search (FFT over all code phases)."""
+
+    doppler_max: Annotated[float, Quantity(500.0, 50_000.0, "Hz")] = 6000.0
+    """Half width of the Doppler window, Hz: ±5 kHz of the satellites, the rest the oscillator's."""
+    false_alarm: Annotated[float, Quantity(1e-9, 0.1, "", above=True)] = 1e-3
+    """Probability that the search of one absent satellite, all its cells, reports it."""
+    coherent: Annotated[float, Quantity(0.001, 0.020, "s")] = 0.010
+    """Coherent sum, s, whole ms."""
+    noncoherent: Annotated[int, Quantity(1, 1000, "sums", whole=True)] = 2
+    """Coherent sums added up as powers."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if abs(self.coherent * 1e3 - _whole_ms(self.coherent)) > 1e-6:
+            raise misfit("expected a whole number of ms", "coherent")
+        return self
+
+
+def _only_loops_at_hand(value: object) -> object:
+    if value in _LATER_LOOPS:
+        raise misfit("not yet in this version; expected pll2 or pll3")
+    return value
+
+
+class CarrierConfig(Section):
+    """Carrier loop."""
+
+    loop: Annotated[
+        Literal["pll2", "pll3"],
+        BeforeValidator(_only_loops_at_hand),
+    ] = "pll3"
+    """Costas phase-lock loop of order 2 or 3."""
+    bandwidth: Annotated[float, Quantity(0.1, 200.0, "Hz")] = 7.0
+    """One-sided noise bandwidth of the settled loop, Hz."""
+    coherent: Annotated[float, Quantity(0.001, 0.020, "s")] = 0.020
+    """Coherent time of the settled loop, s; a whole part of a 20 ms bit."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        _check_coherent(self.coherent)
+        _check_product(self.bandwidth, self.coherent)
+        return self
+
+
+def _one_is_a_list(value: object) -> Any:
+    return [value] if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+class CodeConfig(Section):
+    """Code loop, aided by the carrier loop."""
+
+    order: Literal[1, 2] = 2
+    """Order of the loop."""
+    bandwidth: Annotated[
+        tuple[Annotated[float, Quantity(0.001, 50.0, "Hz")], ...],
+        Field(min_length=1, max_length=4),
+        BeforeValidator(_one_is_a_list),
+    ] = (3.0, 1.0, 0.1)
+    """One-sided noise bandwidths, Hz, wide to narrow, switched as the loop settles T(5.22)."""
+    spacing: Annotated[float, Quantity(0.02, 1.0, "chips")] = 0.25
+    """Distance D from early to late, chips (1: half a chip either side of prompt)."""
+    coherent: Annotated[float, Quantity(0.001, 0.020, "s")] = 0.020
+    """Coherent time of the settled loop, s; a whole part of a 20 ms bit."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        _check_coherent(self.coherent)
+        _check_product(max(self.bandwidth), self.coherent)
+        if any(b >= a for a, b in zip(self.bandwidth, self.bandwidth[1:], strict=False)):
+            raise misfit("expected falling bandwidths, such as [3.0, 1.0, 0.1]", "bandwidth")
+        return self
+
+
+class ThresholdsConfig(Section):
+    """When a channel changes its mode (T figures 5.2, 5.3)."""
+
+    phase: Annotated[float, Quantity(10.0, 60.0, "dB-Hz")] = 28.0
+    """T3: the phase is tracked above, dB-Hz."""
+    frequency: Annotated[float, Quantity(5.0, 60.0, "dB-Hz")] = 18.0
+    """T4: the frequency is tracked above, dB-Hz."""
+    lost_after: Annotated[float, Quantity(0.0, 600.0, "s", above=True)] = 3.0
+    """T2: a signal gone for this long is searched anew, s."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if self.frequency > self.phase:
+            raise misfit(f"expected at most `phase`, {self.phase:g} dB-Hz", "frequency")
+        return self
+
+
+class TrackingConfig(Section):
+    """Tracking loops and their switching."""
+
+    carrier: CarrierConfig = CarrierConfig()
+    code: CodeConfig = CodeConfig()
+    thresholds: ThresholdsConfig = ThresholdsConfig()
+
+
+class OutliersConfig(Section):
+    """Test of ranges against the predicted ones T(5.23–5.25)."""
+
+    enabled: Switch = True
+    """Leave flagged ranges out of the position (they stay in the log)."""
+    alpha: Annotated[float, Quantity(0.0, 1.0, "", above=True)] = 0.05
+    """Coefficient of the low-pass filter."""
+    threshold: Annotated[float, Quantity(0.0, 1000.0, "m", above=True)] = 6.0
+    """Difference that flags a range, m."""
+
+
+class PositioningConfig(Section):
+    """Position, velocity and time from the observations."""
+
+    elevation_mask: Annotated[float, Quantity(0.0, 89.0, "deg")] = 10.0
+    """Satellites below are left out, deg."""
+    raim: Switch = True
+    """Find and exclude ranges that contradict the others."""
+    smoothing: Switch = False
+    """Use carrier-smoothed ranges."""
+    ionosphere: Literal["klobuchar", "none"] = "klobuchar"
+    """Ionosphere model, from broadcast coefficients."""
+    troposphere: Literal["saastamoinen", "none"] = "saastamoinen"
+    """Troposphere model."""
+    outliers: OutliersConfig = OutliersConfig()
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if 0.0 < self.elevation_mask < 1.0:
+            raise misfit("expected 0, or 1 to 89 deg (looks like radians)", "elevation_mask")
+        return self
