@@ -11,8 +11,7 @@ not enter the orbit.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,46 +28,21 @@ from deepgnss.core.records import (
     Observation,
 )
 from deepgnss.receiver import orbits
-from deepgnss.receiver.atmosphere import klobuchar_delay, saastamoinen_delay
 from deepgnss.receiver.raim import check_residuals
+from deepgnss.receiver.weights import (
+    ErrorModel,
+    PvtParameters,
+    delays,
+    range_sigma,
+    rate_sigma,
+)
+
+__all__ = ["ErrorModel", "PvtParameters", "dilutions", "solve"]
 
 _MAX_ITERATIONS = 20
 _CONVERGED_M = 1.0  # the step after this one would be its square over the range: 1e-7 m
 _ATMOSPHERE_STEP_M = 1000.0  # its delays change by mm over this distance
 _PLAUSIBLE_HEIGHT_M = (-20e3, 2000e3)
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorModel:
-    """Standard deviations that weigh the observations.
-
-    Range: σ² = (URA/2)² + multipath²/sin²E + code_noise²·10^((45 − C/N0)/10)
-              + (ionosphere·I)² + (troposphere·T)²
-    Range rate: σ² = rate_floor² + rate_noise²·10^((45 − C/N0)/10)
-    where I and T are the modelled delays. A delay that is not modelled on purpose counts as
-    absent; with Klobuchar asked for but its coefficients not yet known, I is taken as its slant
-    factor times `unknown_zenith`, wholly uncertain.
-    """
-
-    multipath_m: float = 0.5
-    code_noise_m: float = 0.6
-    ionosphere: float = 0.4
-    unknown_zenith_m: float = 3.0
-    troposphere: float = 0.05
-    rate_floor_mps: float = 0.05
-    rate_noise_mps: float = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class PvtParameters:
-    """How positions are computed."""
-
-    elevation_mask_rad: float = float(np.radians(10.0))
-    ionosphere: Literal["klobuchar", "none"] = "klobuchar"
-    troposphere: Literal["saastamoinen", "none"] = "saastamoinen"
-    raim: bool = True
-    false_alarm: float = 1e-5  # of the residual test, per epoch
-    errors: ErrorModel = field(default_factory=ErrorModel)
 
 
 class _Measured(NamedTuple):
@@ -216,7 +190,12 @@ def _adjust(
             azimuth, elevation = orbits.directions(r_e_m, sight)
             used = active & (elevation >= parameters.elevation_mask_rad)
             low = _below_mask(parameters, measured, active, elevation)
-            delays_m, sigma_m = _delays(epoch, nav, parameters, measured, r_e_m, azimuth, elevation)
+            delays_m, variance_m2 = delays(
+                nav, parameters, epoch.time, r_e_m, azimuth, elevation, measured.carriers_hz
+            )
+            sigma_m = range_sigma(
+                parameters.errors, measured.ephemerides, elevation, measured.cn0_dbhz, variance_m2
+            )
             modelled_at_e_m = r_e_m
         rows = np.flatnonzero(used)
         systems = _systems(measured, rows)
@@ -281,44 +260,6 @@ def _tally(rejected: Mapping[str, str]) -> str:
     return f" (left out: {counts})" if counts else ""
 
 
-def _delays(
-    epoch: Epoch,
-    nav: NavData,
-    parameters: PvtParameters,
-    measured: _Measured,
-    r_e_m: FloatArray,
-    azimuth: FloatArray,
-    elevation: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Atmospheric delay of each range, and each range's standard deviation, m, shape (k,)."""
-    model = parameters.errors
-    lat, lon, height_m = geodetic(r_e_m)
-    delay_m = np.zeros(len(azimuth))
-    sin_el = np.sin(np.maximum(elevation, np.radians(2.0)))
-    variance = (
-        (np.array([e.accuracy_m for e in measured.ephemerides]) / 2.0) ** 2
-        + (model.multipath_m / sin_el) ** 2
-        + model.code_noise_m**2 * 10.0 ** ((45.0 - measured.cn0_dbhz) / 10.0)
-    )
-    if parameters.troposphere == "saastamoinen":
-        wet_and_dry_m = saastamoinen_delay(lat, height_m, elevation)
-        delay_m += wet_and_dry_m
-        variance += (model.troposphere * wet_and_dry_m) ** 2
-    if parameters.ionosphere == "klobuchar":
-        coefficients = nav.klobuchar.get("G")
-        if coefficients is None:
-            slant = 1.0 + 16.0 * (0.53 - np.maximum(elevation, 0.0) / np.pi) ** 3
-            variance += (model.unknown_zenith_m * slant) ** 2
-        else:
-            tow_s = epoch.time.tow_s
-            iono_m = klobuchar_delay(
-                coefficients, lat, lon, azimuth, elevation, tow_s, measured.carriers_hz
-            )
-            delay_m += iono_m
-            variance += (model.ionosphere * iono_m) ** 2
-    return delay_m, np.sqrt(variance)
-
-
 class _Velocity(NamedTuple):
     v_e_mps: FloatArray
     drift_sps: float
@@ -329,7 +270,7 @@ def _velocity(
     parameters: PvtParameters, measured: _Measured, fix: _Fix, rejected: dict[str, str]
 ) -> _Velocity:
     """Velocity and clock drift from the Dopplers of the satellites used for the position."""
-    model, sight = parameters.errors, fix.sight
+    sight = fix.sight
     still = sight.range_rate_mps  # of an antenna at rest
     misfit = measured.rates_mps - still + (SPEED_OF_LIGHT_MPS - still) * measured.states.drift_sps
     H = np.column_stack(
@@ -338,10 +279,7 @@ def _velocity(
             1.0 - measured.rates_mps / SPEED_OF_LIGHT_MPS,
         ]
     )
-    sigma = np.sqrt(
-        model.rate_floor_mps**2
-        + model.rate_noise_mps**2 * 10.0 ** ((45.0 - measured.cn0_dbhz) / 10.0)
-    )
+    sigma = rate_sigma(parameters.errors, measured.cn0_dbhz)
     rows = np.flatnonzero(fix.used & np.isfinite(misfit))
     while len(rows) >= 4:
         A = H[rows] / sigma[rows, np.newaxis]

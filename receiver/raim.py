@@ -26,6 +26,7 @@ def check_residuals(
     sigma: FloatArray,
     false_alarm: float,
     at_once: int = 3,
+    excludable: int | None = None,
 ) -> RaimResult:
     """Chi-square test of least-squares residuals and search for the rows that spoil it.
 
@@ -39,6 +40,7 @@ def check_residuals(
     ----------
     H: design matrix (n, p) of full rank. residuals: (n,) after adjustment with weights σ⁻².
     sigma: (n,) standard deviations. false_alarm: probability of a failed test without fault.
+    excludable: only the first so many rows may go (the rest is prior knowledge); None: all.
 
     Source: chi-square and subset statistics of linear models; removing rows S lowers the sum of
     squares by e_Sᵀ Q_SS⁻¹ e_S, with Q the projector onto the residual space.
@@ -57,8 +59,9 @@ def check_residuals(
     Q = np.eye(rows) - q @ q.T
     best: tuple[int, ...] = ()
     left = statistic
-    for count in range(1, min(at_once, dof - 1) + 1):
-        sets = np.array(list(combinations(range(rows), count)))
+    candidates = rows if excludable is None else excludable
+    for count in range(1, min(at_once, dof - 1, candidates) + 1):
+        sets = np.array(list(combinations(range(candidates), count)))
         left, best = _best_set(Q, e, sets, statistic)
         if best and left <= chdtri(dof - count, false_alarm):
             return RaimResult(True, left, float(chdtri(dof - count, false_alarm)), best)
@@ -67,7 +70,12 @@ def check_residuals(
     kept = np.setdiff1d(np.arange(rows), best)
     x = np.linalg.lstsq(A[kept], e[kept], rcond=None)[0]
     again = check_residuals(
-        H[kept], residuals[kept] - H[kept] @ x, sigma[kept], false_alarm, at_once
+        H[kept],
+        residuals[kept] - H[kept] @ x,
+        sigma[kept],
+        false_alarm,
+        at_once,
+        candidates - len(best),
     )
     if not again.passed:
         return RaimResult(False, statistic, limit, ())

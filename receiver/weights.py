@@ -1,0 +1,104 @@
+"""Modelled delays of the pseudoranges, and how much each observation is to be believed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from deepgnss.core.frames import geodetic
+from deepgnss.core.records import Ephemeris, FloatArray, NavData
+from deepgnss.core.time import GpsTime
+from deepgnss.receiver.atmosphere import klobuchar_delay, saastamoinen_delay
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorModel:
+    """Standard deviations that weigh the observations.
+
+    Range: σ² = (URA/2)² + multipath²/sin²E + code_noise²·10^((45 − C/N0)/10)
+              + (ionosphere·I)² + (troposphere·T)²
+    Range rate: σ² = rate_floor² + rate_noise²·10^((45 − C/N0)/10)
+    where I and T are the modelled delays. A delay that is not modelled on purpose counts as
+    absent; with Klobuchar asked for but its coefficients not yet known, I is taken as its slant
+    factor times `unknown_zenith`, wholly uncertain.
+    """
+
+    multipath_m: float = 0.5
+    code_noise_m: float = 0.6
+    ionosphere: float = 0.4
+    unknown_zenith_m: float = 3.0
+    troposphere: float = 0.05
+    rate_floor_mps: float = 0.05
+    rate_noise_mps: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class PvtParameters:
+    """How positions are computed."""
+
+    elevation_mask_rad: float = float(np.radians(10.0))
+    ionosphere: Literal["klobuchar", "none"] = "klobuchar"
+    troposphere: Literal["saastamoinen", "none"] = "saastamoinen"
+    raim: bool = True
+    false_alarm: float = 1e-5  # of the residual test, per epoch
+    errors: ErrorModel = field(default_factory=ErrorModel)
+
+
+def delays(
+    nav: NavData,
+    parameters: PvtParameters,
+    time: GpsTime,
+    r_e_m: FloatArray,
+    azimuth_rad: FloatArray,
+    elevation_rad: FloatArray,
+    carriers_hz: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Atmospheric delay of each pseudorange, m, and the variance of the model, m², shape (k,)."""
+    model = parameters.errors
+    lat, lon, height_m = geodetic(r_e_m)
+    delay_m, variance_m2 = np.zeros(len(azimuth_rad)), np.zeros(len(azimuth_rad))
+    if parameters.troposphere == "saastamoinen":
+        troposphere_m = saastamoinen_delay(lat, height_m, elevation_rad)
+        delay_m += troposphere_m
+        variance_m2 += (model.troposphere * troposphere_m) ** 2
+    if parameters.ionosphere == "klobuchar":
+        coefficients = nav.klobuchar.get("G")
+        if coefficients is None:
+            slant = 1.0 + 16.0 * (0.53 - np.maximum(elevation_rad, 0.0) / np.pi) ** 3
+            variance_m2 += (model.unknown_zenith_m * slant) ** 2
+        else:
+            ionosphere_m = klobuchar_delay(
+                coefficients, lat, lon, azimuth_rad, elevation_rad, time.tow_s, carriers_hz
+            )
+            delay_m += ionosphere_m
+            variance_m2 += (model.ionosphere * ionosphere_m) ** 2
+    return delay_m, variance_m2
+
+
+def range_sigma(
+    model: ErrorModel,
+    ephemerides: Sequence[Ephemeris],
+    elevation_rad: FloatArray,
+    cn0_dbhz: FloatArray,
+    delay_variance_m2: FloatArray,
+) -> FloatArray:
+    """Standard deviation of each pseudorange, m, shape (k,)."""
+    sin_el = np.sin(np.maximum(elevation_rad, np.radians(2.0)))
+    accuracy_m = np.array([e.accuracy_m for e in ephemerides])
+    return np.asarray(
+        np.sqrt(
+            (accuracy_m / 2.0) ** 2
+            + (model.multipath_m / sin_el) ** 2
+            + model.code_noise_m**2 * 10.0 ** ((45.0 - cn0_dbhz) / 10.0)
+            + delay_variance_m2
+        )
+    )
+
+
+def rate_sigma(model: ErrorModel, cn0_dbhz: FloatArray) -> FloatArray:
+    """Standard deviation of each pseudorange rate, m/s, shape (k,)."""
+    noise_mps = model.rate_noise_mps * 10.0 ** ((45.0 - cn0_dbhz) / 20.0)
+    return np.hypot(model.rate_floor_mps, noise_mps)
