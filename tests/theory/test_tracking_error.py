@@ -1,0 +1,99 @@
+"""Thermal noise formulas against the integrals they stand for, and against figures in print."""
+
+import math
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from deepgnss.theory.tracking_error import (
+    dll_thermal_sigma_chips,
+    pll_thermal_sigma_cycles,
+    root_sum_square,
+)
+
+CHIP_M = 299_792_458.0 / 1.023e6
+CHIP_RATE = 1.023e6
+
+
+def betz_integral(cn0_dbhz: float, b_hz: float, t_s: float, d: float, band: float) -> float:
+    """σ in chips of the early-minus-late power loop, ideal band-pass front end (Betz 2000)."""
+    cn0 = 10.0 ** (cn0_dbhz / 10.0)
+    f = np.linspace(-band / 2, band / 2, 100_001)
+    s = np.sinc(f) ** 2
+
+    def integral(y):
+        return np.trapezoid(y, f)
+
+    noise = integral(s * np.sin(np.pi * f * d) ** 2)
+    slope = 2.0 * np.pi * integral(f * s * np.sin(np.pi * f * d))
+    squaring = 1.0 + integral(s * np.cos(np.pi * f * d) ** 2) / (
+        t_s * cn0 * integral(s * np.cos(np.pi * f * d)) ** 2
+    )
+    return math.sqrt(b_hz / cn0 * noise * squaring) / slope
+
+
+def test_pll_known_values():
+    # 7 Hz, 20 ms: √(7/10^4.85) rad = 0.9946e-2 rad, squaring loss 3.5e-4
+    assert pll_thermal_sigma_cycles(48.5, 7.0, 0.020) == pytest.approx(1.5828e-3, rel=1e-3)
+    # L1 wavelength: 0.30 mm; √2 of it 0.43 mm, the order of the published 0.5 mm
+    assert pll_thermal_sigma_cycles(48.5, 7.0, 0.020) * 190.29 == pytest.approx(0.301, abs=0.001)
+    # squaring loss doubles the variance where C/N0 · T = ½
+    low = 10.0 * math.log10(0.5 / 0.001)
+    assert pll_thermal_sigma_cycles(low, 10.0, 0.001) == pytest.approx(
+        math.sqrt(2.0 * 10.0 / 500.0) / (2.0 * math.pi)
+    )
+
+
+def test_dll_known_values():
+    # published 21.5 dB-Hz, 0.05 Hz, D 0.25, 9 MHz, times √2: 2.4 m (512 ms), 2.85 m (20 ms)
+    for coherent, metres in ((0.512, 2.4), (0.020, 2.85)):
+        sigma = dll_thermal_sigma_chips(21.5, 0.05, coherent, 0.25, 9e6, CHIP_RATE)
+        assert math.sqrt(2.0) * sigma * CHIP_M == pytest.approx(metres, rel=0.02)
+
+
+def test_dll_with_an_ideal_front_end_is_exact():
+    for d in (1.0, 0.5, 0.1):
+        sigma = dll_thermal_sigma_chips(40.0, 1.0, 0.02, d, math.inf, CHIP_RATE)
+        assert sigma == pytest.approx(betz_integral(40.0, 1.0, 0.02, d, 4000.0), rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("band", "tolerance"), [(4.0, 0.10), (8.8, 0.08), (20.0, 0.08), (30.0, 0.08)]
+)
+def test_dll_approximates_the_integral_in_all_three_regions(band, tolerance):
+    for cn0, coherent in ((48.0, 0.02), (25.0, 0.02), (35.0, 0.001)):
+        for d in (1.0, 0.5, 0.25, 0.125, 0.1, 0.05):
+            sigma = dll_thermal_sigma_chips(cn0, 1.0, coherent, d, band * CHIP_RATE, CHIP_RATE)
+            assert sigma == pytest.approx(betz_integral(cn0, 1.0, coherent, d, band), rel=limit)
+
+
+@given(st.floats(3.2, 40.0), st.sampled_from([1.0, math.pi]))
+@settings(deadline=None, derandomize=True)
+def test_dll_regions_join(band, border):
+    def sigma(d):
+        return dll_thermal_sigma_chips(30.0, 1.0, 0.02, d, band * CHIP_RATE, CHIP_RATE)
+
+    d = border / band
+    assert sigma(d * (1.0 - 1e-9)) == pytest.approx(sigma(d * (1.0 + 1e-9)), rel=1e-7)
+
+
+@given(st.floats(15.0, 55.0), st.sampled_from([0.001, 0.004, 0.020]), st.floats(0.1, 20.0))
+@settings(deadline=None, derandomize=True)
+def test_noise_falls_with_power_time_and_narrowness(cn0, coherent, bandwidth):
+    def pll(c=cn0, b=bandwidth, t=coherent):
+        return pll_thermal_sigma_cycles(c, b, t)
+
+    def dll(c=cn0, b=bandwidth, t=coherent, d=0.5):
+        return dll_thermal_sigma_chips(c, b, t, d, 30e6, CHIP_RATE)
+
+    assert pll(c=cn0 + 1.0) < pll() > pll(t=2.0 * coherent)
+    assert dll(c=cn0 + 1.0) < dll() > dll(t=2.0 * coherent)
+    assert pll(b=4.0 * bandwidth) == pytest.approx(2.0 * pll())
+    assert dll(b=4.0 * bandwidth) == pytest.approx(2.0 * dll())
+    assert dll(d=0.25) < dll()
+
+
+def test_root_sum_square():
+    assert root_sum_square(3.0, 4.0, 12.0) == pytest.approx(13.0)
