@@ -14,6 +14,7 @@ from typing import NamedTuple
 from deepgnss.core.errors import InputFileError, OutputError
 from deepgnss.core.records import UtcParameters
 from deepgnss.core.time import GpsTime, leap_seconds_at
+from deepgnss.io.input import reading
 
 PROGRAM = "deepgnss"
 STATION = "DGNS00XXX"  # marker, monument, receiver, country (unknown) of a long file name
@@ -39,13 +40,10 @@ def read_text(path: Path) -> str:
     ------
     InputFileError: missing, unreadable, damaged, or not text.
     """
-    try:
+    with reading(path):
         data = path.read_bytes()
         if data[:2] == b"\x1f\x8b":
-            data = gzip.decompress(data)
-    except (OSError, EOFError, zlib.error) as error:
-        cause = getattr(error, "strerror", None) or "damaged gzip file"
-        raise InputFileError(f"{path}: cannot read: {cause}") from error
+            data = _gunzip(data)
     if data[:2] == b"\x1f\x9d" or b"CRINEX VERS" in data[:100]:
         data = _decompress(path, data)
     if not data.strip():
@@ -53,6 +51,13 @@ def read_text(path: Path) -> str:
     if b"\0" in data[:4096]:
         raise InputFileError(f"{path}: not a RINEX file (binary data)")
     return data.decode("latin-1").replace("\r\n", "\n")
+
+
+def _gunzip(data: bytes) -> bytes:
+    try:
+        return gzip.decompress(data)
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise ValueError(f"damaged gzip file: {error}") from error
 
 
 def _decompress(path: Path, data: bytes) -> bytes:

@@ -1,0 +1,277 @@
+"""Truth trajectories: CSV with a named header, RTKLIB `.pos`, KF-GINS `.nav`, all to GPST.
+
+A trajectory is that of one point: the antenna where the file gives it (CSV, `.pos`); a `.nav`
+file gives the IMU, and becomes the antenna's with a lever arm and the attitude in the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+import pymap3d
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+from deepgnss.core.constants import SECONDS_PER_WEEK
+from deepgnss.core.errors import InputFileError
+from deepgnss.core.records import FloatArray
+from deepgnss.core.time import GpsTime, leap_seconds_at
+from deepgnss.io.input import reading
+
+TruthFormat = Literal["csv", "rtklib_pos", "kfgins_nav"]
+
+_LONGEST_GAP = 5.0  # times the usual interval: nothing is interpolated across more
+_SAME_INSTANT_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Positions of one point over time, in order of time, without duplicates.
+
+    week (n,), tow_s (n,): GPST. r_e_m (n, 3): ECEF. v_e_mps (n, 3): velocity of the same point
+    in ECEF axes, None when the file has none (or only another point's). attitude_rad (n, 3):
+    roll, pitch, yaw of the body (FRD against NED), None when unknown.
+    """
+
+    week: NDArray[np.int64]
+    tow_s: FloatArray
+    r_e_m: FloatArray
+    v_e_mps: FloatArray | None = None
+    attitude_rad: FloatArray | None = None
+
+    @property
+    def start(self) -> GpsTime:
+        """First instant."""
+        return GpsTime(int(self.week[0]), float(self.tow_s[0]))
+
+    @property
+    def end(self) -> GpsTime:
+        """Last instant."""
+        return GpsTime(int(self.week[-1]), float(self.tow_s[-1]))
+
+    def seconds(self, week: NDArray[np.int64] | int, tow_s: FloatArray | float) -> FloatArray:
+        """Seconds of GPST instants since `start` (exact to 0.1 ns over weeks)."""
+        weeks = np.asarray(week, dtype=np.int64) - self.week[0]
+        seconds: FloatArray = np.asarray(tow_s) - self.tow_s[0] + weeks * float(SECONDS_PER_WEEK)
+        return seconds
+
+    def at(
+        self, week: NDArray[np.int64] | int, tow_s: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Position and velocity, each (k, 3) in ECEF, at k instants; NaN outside and in gaps.
+
+        Cubic through the positions, with the file's velocities as slopes where it has them.
+        """
+        wanted = np.atleast_1d(self.seconds(week, tow_s))
+        known = self.seconds(self.week, self.tow_s)
+        origin = self.r_e_m[0]  # keeps the spline's digits for the metres that move
+        if self.v_e_mps is None:
+            spline: Any = CubicSpline(known, self.r_e_m - origin)
+        else:
+            spline = CubicHermiteSpline(known, self.r_e_m - origin, self.v_e_mps)
+        r_e_m, v_e_mps = spline(wanted) + origin, spline(wanted, 1)
+        after = np.clip(np.searchsorted(known, wanted, side="left"), 1, len(known) - 1)
+        steps = np.diff(known)
+        gap = steps[after - 1] > _LONGEST_GAP * np.median(steps)
+        first, last = known[0] - _SAME_INSTANT_S, known[-1] + _SAME_INSTANT_S
+        inside = (wanted >= first) & (wanted <= last)
+        nearest_s = np.minimum(np.abs(wanted - known[after]), np.abs(wanted - known[after - 1]))
+        unknown = ~inside | (gap & (nearest_s > _SAME_INSTANT_S))
+        r_e_m[unknown], v_e_mps[unknown] = np.nan, np.nan
+        return r_e_m, v_e_mps
+
+
+def read_truth(
+    path: Path | str,
+    file_format: TruthFormat = "csv",
+    *,
+    lever_arm_m: Sequence[float] | None = None,
+    week: int | None = None,
+) -> Trajectory:
+    """Read the trajectory of the antenna.
+
+    Parameters
+    ----------
+    lever_arm_m: IMU → antenna in the body (FRD), for files that give the IMU; None: the
+        trajectory is left to be the IMU's.
+    week: GPS week of a `.nav` file that has 0 in its week column.
+
+    Raises
+    ------
+    InputFileError: the file cannot be read, or is not what the format says.
+    """
+    path = Path(path)
+    readers = {"csv": _read_csv, "rtklib_pos": _read_pos, "kfgins_nav": _read_nav}
+    columns = readers[file_format](path)
+    frame = columns.astype(np.float64)
+    needed = ["week", "tow_s", "lat_deg", "lon_deg", "height_m"]
+    bad = ~np.isfinite(frame[needed].to_numpy()).all(axis=1)
+    if bad.any():
+        row = int(np.flatnonzero(bad)[0]) + 1
+        raise InputFileError(f"{path}: data row {row}: time or position is not a number")
+    if (frame["week"] <= 0).any():
+        if week is None:
+            raise InputFileError(f"{path}: GPS week 0 in the file: state the week in the config")
+        frame["week"] = float(week)
+    frame = frame.sort_values(["week", "tow_s"], kind="stable").drop_duplicates(["week", "tow_s"])
+    if len(frame) < 2:
+        raise InputFileError(f"{path}: {len(frame)} epochs: two at least make a trajectory")
+    return _trajectory(frame, file_format == "kfgins_nav", lever_arm_m)
+
+
+def _trajectory(
+    frame: pd.DataFrame, is_imu: bool, lever_arm_m: Sequence[float] | None
+) -> Trajectory:
+    lat, lon = np.radians(frame["lat_deg"].to_numpy()), np.radians(frame["lon_deg"].to_numpy())
+    position = pymap3d.geodetic2ecef(lat, lon, frame["height_m"].to_numpy(), deg=False)
+    r_e_m: FloatArray = np.column_stack(position)
+    to_e = _rotations_en(lat, lon)
+    attitude = _columns(frame, "roll_deg", "pitch_deg", "heading_deg")
+    attitude_rad = None if attitude is None else np.radians(attitude)
+    velocity = _columns(frame, "vn_mps", "ve_mps", "vd_mps")
+    # Where positions of the IMU stand beside the antenna's, the velocity is the IMU's.
+    same_point = "imu_lat_deg" not in frame
+    if is_imu and lever_arm_m is not None:
+        if attitude_rad is None:
+            raise InputFileError("truth of an IMU without attitude: no antenna position from it")
+        arm_n = _rotations_nb(attitude_rad) @ np.asarray(lever_arm_m, dtype=np.float64)
+        r_e_m = r_e_m + np.einsum("kij,kj->ki", to_e, arm_n)
+        same_point = False
+    v_e_mps = None
+    if velocity is not None and same_point:
+        v_e_mps = np.einsum("kij,kj->ki", to_e, velocity)
+    return Trajectory(
+        week=frame["week"].to_numpy().astype(np.int64),
+        tow_s=frame["tow_s"].to_numpy(),
+        r_e_m=r_e_m,
+        v_e_mps=v_e_mps,
+        attitude_rad=attitude_rad,
+    )
+
+
+def _columns(frame: pd.DataFrame, *names: str) -> FloatArray | None:
+    if any(name not in frame for name in names):
+        return None
+    values = frame[list(names)].to_numpy(dtype=np.float64)
+    return values if np.isfinite(values).all() else None
+
+
+def _rotations_en(lat: FloatArray, lon: FloatArray) -> FloatArray:
+    """n → e of many places, (n, 3, 3): v_e = C_en @ v_n."""
+    sl, cl, so, co = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
+    zero = np.zeros_like(lat)
+    rows = [[-sl * co, -so, -cl * co], [-sl * so, co, -cl * so], [cl, zero, -sl]]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _rotations_nb(attitude_rad: FloatArray) -> FloatArray:
+    """b → n of many attitudes roll, pitch, yaw (Z-Y-X), (n, 3, 3): v_n = C_nb @ v_b."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin(attitude_rad.T), np.cos(attitude_rad.T)
+    rows = [
+        [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
+        [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
+        [-sp, sr * cp, cr * cp],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+# --- formats -------------------------------------------------------------------------------------
+
+_CSV_NAMES = {
+    "gps_week": "week",
+    "gps_tow_s": "tow_s",
+    "tow": "tow_s",
+    "v_n_mps": "vn_mps",
+    "v_e_mps": "ve_mps",
+    "v_d_mps": "vd_mps",
+    "yaw_deg": "heading_deg",
+}
+_CSV_NEEDED = ("week", "tow_s", "lat_deg", "lon_deg", "height_m")
+
+
+def _read_csv(path: Path) -> pd.DataFrame:
+    with reading(path):
+        frame = pd.read_csv(path).rename(columns=_CSV_NAMES)
+    missing = [name for name in _CSV_NEEDED if name not in frame]
+    if missing:
+        raise InputFileError(f"{path}: column '{missing[0]}' is missing in the header")
+    if "valid" in frame:  # a solution of our own, taken as truth
+        frame = frame[frame["valid"] == 1]
+    known = [*_CSV_NEEDED, *_OPTIONAL]
+    frame = frame[[name for name in known if name in frame]]
+    with reading(path):
+        return frame.astype(np.float64)
+
+
+_OPTIONAL = (
+    *("vn_mps", "ve_mps", "vd_mps", "roll_deg", "pitch_deg", "heading_deg"),
+    *("imu_lat_deg", "imu_lon_deg", "imu_height_m"),
+)
+
+
+def _read_pos(path: Path) -> pd.DataFrame:
+    """RTKLIB solution (solution.c, outsolhead): times GPST or UTC, positions llh or ECEF."""
+    with reading(path):
+        lines = path.read_text(encoding="latin-1").splitlines()
+    header = next((line for line in lines if line.startswith("%") and "(m)" in line), "")
+    if not header:
+        raise InputFileError(f"{path}: not an RTKLIB .pos file (no column header)")
+    if "latitude(d'" in header:
+        raise InputFileError(f"{path}: positions in degrees, minutes, seconds: use -s ' ' degrees")
+    is_utc = header[1:].split()[0] == "UTC"
+    ecef = "x-ecef(m)" in header
+    rows = [line.replace(",", " ").split() for line in lines if line[:1] not in ("%", "")]
+    if any(len(row) < 5 for row in rows):
+        raise InputFileError(f"{path}: a row is not a solution: fewer than 5 columns")
+    with reading(path):
+        table = [[*_pos_time(row[0], row[1], is_utc), *map(float, row[2:])] for row in rows]
+    if not table or len({len(row) for row in table}) != 1:
+        raise InputFileError(f"{path}: no solutions, or rows of unequal length")
+    values = np.array(table)
+    frame = pd.DataFrame({"week": values[:, 0], "tow_s": values[:, 1]})
+    if ecef:
+        lat, lon, height = pymap3d.ecef2geodetic(values[:, 2], values[:, 3], values[:, 4])
+        place = np.column_stack((lat, lon, height))
+    else:
+        place = values[:, 2:5]
+    frame[["lat_deg", "lon_deg", "height_m"]] = place
+    if not ecef and "vn(m/s)" in header:
+        first = header[1:].split().index("vn(m/s)") - len(header[1:].split()) + values.shape[1]
+        north_east_up = values[:, first : first + 3]
+        frame[["vn_mps", "ve_mps", "vd_mps"]] = north_east_up * np.array([1.0, 1.0, -1.0])
+    return frame
+
+
+def _pos_time(first: str, second: str, is_utc: bool) -> tuple[float, float]:
+    if "/" not in first:
+        return float(first), float(second)
+    stamp = pd.Timestamp(f"{first.replace('/', '-')}T{second}")
+    elapsed = stamp - pd.Timestamp("1980-01-06")
+    leap_s = leap_seconds_at(stamp.tz_localize("UTC").to_pydatetime()) if is_utc else 0
+    weeks, rest = divmod(elapsed.value, SECONDS_PER_WEEK * 10**9)
+    time = GpsTime(weeks, rest * 1e-9).plus(leap_s)
+    return float(time.week), time.tow_s
+
+
+_NAV_NAMES = (
+    *("week", "tow_s", "lat_deg", "lon_deg", "height_m", "vn_mps", "ve_mps", "vd_mps"),
+    *("roll_deg", "pitch_deg", "heading_deg"),
+)
+
+
+def _read_nav(path: Path) -> pd.DataFrame:
+    with reading(path):
+        frame = pd.read_csv(path, sep=r"\s+", header=None, comment="%")
+    if frame.shape[1] < len(_NAV_NAMES):
+        raise InputFileError(
+            f"{path}: {frame.shape[1]} columns; a KF-GINS .nav file has {len(_NAV_NAMES)}"
+        )
+    frame = frame.iloc[:, : len(_NAV_NAMES)]
+    frame.columns = pd.Index(_NAV_NAMES)
+    with reading(path):
+        return frame.astype(np.float64)
