@@ -1,0 +1,141 @@
+"""A scenario: everything that decides the samples, as frozen records.
+
+Time axes: `sample_s` counts the receiver's own clock from sample 0 (n / sample rate); true time is
+sample_s minus the clock error, in seconds of GPST from `Scenario.start`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from deepgnss.core.errors import ConfigError
+from deepgnss.core.records import Ephemeris, NavData
+from deepgnss.core.time import GpsTime
+from deepgnss.io.formats import VALUE_BITS, ValueFormat
+from deepgnss.receiver.signals import GPS_L1CA_SIGNAL, Signal
+from deepgnss.sim.trajectory import Trajectory
+
+
+@dataclass(frozen=True, slots=True)
+class FrontEnd:
+    """From the antenna to the file. RF `centre_hz` lies at `intermediate_hz`.
+
+    `bits` of the converter may be fewer than the container holds (2 bits in int8: ±1, ±3); None
+    fills it. `bandwidth_hz` is two-sided, around zero (complex) or the IF (real); None: no filter,
+    white noise over the whole sampled band.
+    """
+
+    sample_rate_hz: float
+    format: ValueFormat = "int8"
+    bits: int | None = None
+    is_complex: bool = True
+    centre_hz: float = GPS_L1CA_SIGNAL.id.carrier_hz
+    intermediate_hz: float = 0.0
+    bandwidth_hz: float | None = None
+    filter_taps: int = 63
+
+    def __post_init__(self) -> None:
+        """Refuse what no front end can do."""
+        if self.format not in VALUE_BITS:
+            raise ConfigError(f"format: {self.format!r} is none of {', '.join(VALUE_BITS)}")
+        if self.bits is not None and not 1 <= self.bits <= min(VALUE_BITS[self.format], 16):
+            raise ConfigError(f"bits: {self.bits} does not fit {self.format}")
+        if not 1.0e6 <= self.sample_rate_hz <= 1.0e9:
+            raise ConfigError(f"sample_rate: {self.sample_rate_hz:g} Hz is not within 1e6 to 1e9")
+        if self.filter_taps % 2 == 0 or not 3 <= self.filter_taps <= 1023:
+            raise ConfigError(f"filter_taps: {self.filter_taps} is not an odd number of 3 to 1023")
+        if self.bandwidth_hz is not None and not 0.0 < self.bandwidth_hz < self.usable_hz:
+            raise ConfigError(
+                f"bandwidth: {self.bandwidth_hz:g} Hz does not fit into the"
+                f" {self.usable_hz:g} Hz around the intermediate frequency"
+            )
+
+    @property
+    def usable_hz(self) -> float:
+        """Two-sided band around the filter's middle that the sampling rate leaves, Hz."""
+        if self.is_complex:
+            return self.sample_rate_hz
+        return 2.0 * min(self.intermediate_hz, self.sample_rate_hz / 2 - self.intermediate_hz)
+
+    @property
+    def bytes_per_second(self) -> float:
+        """Size of a second of recording."""
+        return self.sample_rate_hz * (1 + self.is_complex) * VALUE_BITS[self.format] / 8.0
+
+    @property
+    def converter_bits(self) -> int:
+        """Resolution of the converter, 32 for none."""
+        return self.bits or VALUE_BITS[self.format]
+
+
+@dataclass(frozen=True, slots=True)
+class ReceiverClock:
+    """Clock reading − GPST = offset + drift·t + noise, t in s of the clock's own count.
+
+    h0 and h_2 (h₋₂) are white and random-walk frequency noise, one-sided S_y(f) = h0 + h₋₂/f².
+    """
+
+    offset_s: float = 0.0
+    drift_sps: float = 0.0
+    h0_s: float = 0.0
+    h_2_ps: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Emitter:
+    """One signal of one satellite; C/N0 as steps (from second, dB-Hz) in order, first from 0.0."""
+
+    satellite: str  # "G05"
+    cn0_dbhz: tuple[tuple[float, float], ...]
+    signal: Signal = GPS_L1CA_SIGNAL
+
+    @property
+    def prn(self) -> int:
+        """Number within the system."""
+        return int(self.satellite[1:])
+
+    def cn0_at(self, t_s: float) -> float:
+        """C/N0 at a second of the recording, dB-Hz."""
+        return [value for second, value in self.cn0_dbhz if second <= max(t_s, 0.0)][-1]
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """What is simulated. Same scenario, same samples, for any number of threads."""
+
+    name: str
+    start: GpsTime  # what the receiver's clock reads at sample 0
+    seconds: float
+    trajectory: Trajectory  # of the antenna
+    emitters: tuple[Emitter, ...]
+    nav: NavData  # true orbits and clocks, and what is broadcast
+    front_end: FrontEnd
+    clock: ReceiverClock = field(default_factory=ReceiverClock)
+    ionosphere: bool = True  # Klobuchar of `nav`: delays the code, advances the carrier
+    troposphere: bool = True  # Saastamoinen
+    noise: bool = True
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be simulated."""
+        if not self.seconds > 0.0:
+            raise ConfigError(f"seconds: {self.seconds:g} is not positive")
+        missing = [e.satellite for e in self.emitters if not self.nav.ephemerides.get(e.satellite)]
+        if missing:
+            raise ConfigError(f"satellites: no ephemeris of {', '.join(missing)} in the NAV data")
+        if self.ionosphere and "G" not in self.nav.klobuchar:
+            raise ConfigError("ionosphere: the NAV data hold no Klobuchar coefficients of GPS")
+
+    def orbit_set(self, satellite: str) -> Ephemeris:
+        """The ephemeris that is both the truth and the message: toe nearest to the middle.
+
+        One set serves the whole recording, so that the truth has no step at a change of sets.
+        """
+        middle = self.start.plus(self.seconds / 2.0)
+        candidates = self.nav.ephemerides[satellite]
+        return min(candidates, key=lambda e: abs(e.toe.since(middle)))
+
+    @property
+    def sample_count(self) -> int:
+        """Whole samples in the recording, rounded down to a multiple of 8 (whole bytes)."""
+        return int(self.seconds * self.front_end.sample_rate_hz) // 8 * 8
