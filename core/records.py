@@ -153,6 +153,32 @@ class ChannelReport:
 
 
 @dataclass(frozen=True, slots=True)
+class SatelliteOutcome:
+    """How far a satellite came in a run, and what held it back: a line of the why-no-fix table."""
+
+    satellite: str
+    signal: str
+    stage: str  # one of STAGES
+    acquisition_peak: float | None  # peak over noise floor of its best search, None: not searched
+    cn0_dbhz: float | None  # highest seen while tracked
+    used_epochs: int  # of the navigation solution
+    reason: str  # why it came no further, or was rejected; empty when used throughout
+
+
+STAGES = (
+    "not searched",
+    "searched",
+    "acquired",
+    "pulled in",
+    "bit sync",
+    "frame sync",
+    "ephemeris",
+    "used",
+)
+"""What a satellite goes through, in order."""
+
+
+@dataclass(frozen=True, slots=True)
 class Event:
     """Something worth a line in the log: a transition with its reason."""
 
