@@ -66,6 +66,7 @@ class Prediction(NamedTuple):
     """Everything about satellites seen from an antenna at an instant of GPST."""
 
     sight: LineOfSight
+    v_e_mps: FloatArray  # (k, 3) of the satellites, in the frame of reception
     azimuth_rad: FloatArray  # (k,)
     elevation_rad: FloatArray  # (k,)
     clock_s: FloatArray  # (k,) satellite clock at transmission, group delay taken off
@@ -196,23 +197,24 @@ def line_of_sight(r_e_m: FloatArray, v_e_mps: FloatArray, states: SatelliteState
 
     Parameters: antenna position (3,) and velocity (3,) at reception; states (k) at transmission.
     """
-    x, y, z = states.r_e_m.T
-    vx, vy, vz = states.v_e_mps.T
     range_m = np.linalg.norm(states.r_e_m - r_e_m, axis=-1)
     for _ in range(2):  # the turn changes the range by 30 m, this one's turn by 1e-7 of that
-        turn = EARTH_RATE_RADPS / SPEED_OF_LIGHT_MPS * range_m
-        c, s = np.cos(turn), np.sin(turn)
-        satellite = np.stack([c * x + s * y, c * y - s * x, z], axis=-1)
+        satellite = _turned(states.r_e_m, range_m)
         vector = satellite - r_e_m
         range_m = np.linalg.norm(vector, axis=-1)
-    unit = vector / range_m[..., np.newaxis]
-    moved = np.stack([c * vx + s * vy, c * vy - s * vx, vz], axis=-1)
-    turned = EARTH_RATE_RADPS * np.stack(
-        [satellite[..., 1], -satellite[..., 0], np.zeros_like(z)], axis=-1
-    )
-    towards = np.einsum("...i,...i", unit, moved)
-    scale = 1.0 / (1.0 + (towards - np.einsum("...i,...i", unit, turned)) / SPEED_OF_LIGHT_MPS)
+    unit = vector / range_m[:, np.newaxis]
+    towards = np.einsum("ki,ki->k", unit, _turned(states.v_e_mps, range_m))
+    sideways = EARTH_RATE_RADPS * (unit[:, 0] * satellite[:, 1] - unit[:, 1] * satellite[:, 0])
+    scale = 1.0 / (1.0 + (towards - sideways) / SPEED_OF_LIGHT_MPS)
     return LineOfSight(range_m, (towards - unit @ v_e_mps) * scale, unit, scale)
+
+
+def _turned(vectors: FloatArray, range_m: FloatArray) -> FloatArray:
+    """Vectors (k, 3) of the frame of transmission in that of reception, range/c later."""
+    turn = EARTH_RATE_RADPS / SPEED_OF_LIGHT_MPS * range_m
+    c, s = np.cos(turn), np.sin(turn)
+    x, y, z = vectors.T
+    return np.stack([c * x + s * y, c * y - s * x, z], axis=-1)
 
 
 def predict(
@@ -237,6 +239,7 @@ def predict(
     rate = sight.range_rate_mps
     return Prediction(
         sight,
+        _turned(states.v_e_mps, sight.range_m),
         azimuth,
         elevation,
         clock_s,

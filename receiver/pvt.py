@@ -27,6 +27,7 @@ from deepgnss.core.records import (
     NavSolution,
     Observation,
 )
+from deepgnss.core.time import GpsTime
 from deepgnss.receiver import orbits
 from deepgnss.receiver.raim import check_residuals
 from deepgnss.receiver.weights import (
@@ -37,7 +38,7 @@ from deepgnss.receiver.weights import (
     rate_sigma,
 )
 
-__all__ = ["ErrorModel", "PvtParameters", "dilutions", "solve"]
+__all__ = ["ErrorModel", "PvtParameters", "dilutions", "inverse", "solve", "unsolved"]
 
 _MAX_ITERATIONS = 20
 _CONVERGED_M = 1.0  # the step after this one would be its square over the range: 1e-7 m
@@ -103,7 +104,7 @@ def solve(
         fix = _adjust(epoch, nav, parameters, measured, active, start_e_m)
         rejected |= fix.low
         if isinstance(fix, _Failure):
-            return _invalid(epoch, fix.reason + _tally(rejected), rejected)
+            return unsolved(epoch.time, fix.reason + _tally(rejected), rejected)
         if not parameters.raim:
             break
         rows = np.flatnonzero(fix.used)
@@ -111,8 +112,8 @@ def solve(
             fix.H, fix.residuals_m[rows], fix.sigma_m[rows], parameters.false_alarm
         )
         if not verdict.passed:
-            return _invalid(
-                epoch,
+            return unsolved(
+                epoch.time,
                 f"residuals disagree: chi-square {verdict.statistic:.1f} > {verdict.limit:.1f} "
                 f"over {len(rows)} satellites, too few to tell which is wrong",
                 rejected,
@@ -295,7 +296,7 @@ def _velocity(
             excluded = verdict.excluded
         if not excluded:
             drift_sps = float(x[3]) / SPEED_OF_LIGHT_MPS
-            return _Velocity(np.asarray(x[:3]), drift_sps, _inverse(A.T @ A))
+            return _Velocity(np.asarray(x[:3]), drift_sps, inverse(A.T @ A))
         for row in excluded:
             satellite = measured.satellites[rows[row]]
             rejected[satellite] = f"Doppler: residual {residuals[row]:.2f} m/s"
@@ -330,7 +331,7 @@ def _solution(
             system: (fix.biases_m[system] - fix.biases_m[reference]) / SPEED_OF_LIGHT_MPS
             for system in others
         },
-        covariance_m2=_inverse(weighted.T @ weighted)[:4, :4],
+        covariance_m2=inverse(weighted.T @ weighted)[:4, :4],
         velocity_covariance_m2ps2=velocity.covariance_m2ps2,
         dops=dilutions(H, C_ne(lat, lon)),
         used=tuple(measured.satellites[row] for row in rows),
@@ -351,7 +352,7 @@ def _solution(
 
 def dilutions(H: FloatArray, C_ne: FloatArray) -> dict[str, float]:
     """Dilutions of precision of a design matrix (n, ≥ 4): position (ECEF), clock, biases."""
-    Q = _inverse(H.T @ H)
+    Q = inverse(H.T @ H)
     n, e, d = np.einsum("ij,jk,ik->i", C_ne, Q[:3, :3], C_ne)
     return {
         "gdop": float(np.sqrt(np.trace(Q))),
@@ -362,14 +363,16 @@ def dilutions(H: FloatArray, C_ne: FloatArray) -> dict[str, float]:
     }
 
 
-def _inverse(normal: FloatArray) -> FloatArray:
+def inverse(normal: FloatArray) -> FloatArray:
+    """Inverse of a normal matrix."""
     return np.asarray(np.linalg.inv(normal), np.float64)
 
 
-def _invalid(epoch: Epoch, reason: str, rejected: Mapping[str, str]) -> NavSolution:
+def unsolved(time: GpsTime, reason: str, rejected: Mapping[str, str]) -> NavSolution:
+    """A solution that is none, and why."""
     unknown, matrix = np.full(3, np.nan), np.full((4, 4), np.nan)
     return NavSolution(
-        time=epoch.time,
+        time=time,
         valid=False,
         reason=reason,
         r_e_m=unknown,
