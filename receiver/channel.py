@@ -1,0 +1,497 @@
+"""One channel: generators, correlator call, carrier and code trackers, and a state machine.
+
+A step runs over one interval of whole code periods and reads like the block diagram: generate,
+correlate, discriminate, filter, command, lock, decide. Carrier phase runs at +Doppler here; the
+observables turn its sign (see `observables`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from deepgnss.core.loops import settling_time_s
+from deepgnss.core.records import (
+    ChannelReport,
+    ComplexArray,
+    Correlations,
+    Event,
+    FloatArray,
+    NcoCommand,
+    RunningSums,
+)
+from deepgnss.receiver.baseband import correlate
+from deepgnss.receiver.locks import (
+    NO_LOCK,
+    LockState,
+    cn0_dbhz,
+    fast_cn0_dbhz,
+    residual_frequency_hz,
+    restart_phase,
+    update_locks,
+)
+from deepgnss.receiver.signals import Signal, code_runs
+from deepgnss.receiver.sync import BitSync, add_prompts, demodulate, start_bit_sync, symbol_edge
+from deepgnss.receiver.trackers import (
+    NO_CORRECTION,
+    Accumulated,
+    DelayLock,
+    FrequencyLock,
+    NcoState,
+    PhaseLock,
+    Tracker,
+    advance,
+    corrected,
+)
+
+
+class Mode(Enum):
+    """What a channel is doing."""
+
+    PULL_IN = "pull-in"  # wide FLL and DLL on a fresh acquisition
+    FREQUENCY = "FLL"  # frequency lock; phase is not kept
+    PHASE = "PLL"  # phase lock on whole symbols
+    HOLD = "hold"  # signal gone: generators coast
+    LOST = "lost"
+
+
+_REMEMBERED_S = 4.0  # prompts of a frequency-locked stretch kept for bit sync
+
+# Every change of mode there is; the channel refuses any other.
+TRANSITIONS: dict[Mode, frozenset[Mode]] = {
+    Mode.PULL_IN: frozenset({Mode.FREQUENCY, Mode.LOST}),
+    Mode.FREQUENCY: frozenset({Mode.PHASE, Mode.HOLD}),
+    Mode.PHASE: frozenset({Mode.FREQUENCY, Mode.HOLD}),
+    Mode.HOLD: frozenset({Mode.FREQUENCY, Mode.LOST}),
+    Mode.LOST: frozenset(),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingSettings:
+    """Parameters of a channel, as the config's `tracking` section."""
+
+    carrier_order: int = 3
+    carrier_bandwidth_hz: float = 7.0
+    coherent_periods: int = 20
+    code_order: int = 2
+    code_bandwidths_hz: tuple[float, ...] = (3.0, 1.0, 0.1)
+    spacing_chips: float = 0.25
+    phase_threshold_dbhz: float = 28.0
+    frequency_threshold_dbhz: float = 18.0
+    lost_after_s: float = 3.0
+    frequency_bandwidth_hz: float = 1.5
+    pull_in_bandwidth_hz: float = 8.0
+    pull_in_s: float = 0.2
+    record_correlations: bool = False
+
+
+class AidingRate(NamedTuple):
+    """Predicted carrier frequency at a sample and its slope; zeros when there is no aiding."""
+
+    frequency_hz: float
+    rate_hzps: float
+
+
+NO_AIDING = AidingRate(0.0, 0.0)
+AidingSource = Callable[[int], AidingRate]
+
+
+def unaided(_sample: int) -> AidingRate:
+    """Aiding source of a plain receiver."""
+    return NO_AIDING
+
+
+class Interval(NamedTuple):
+    """A command with what was known when it was given: the observables read these."""
+
+    command: NcoCommand
+    periods: int  # code periods since the channel started
+    code_valid: bool
+    phase_valid: bool
+    slips: int  # possible cycle slips so far
+    phase_since: int  # sample of phase lock
+    cn0_dbhz: float
+
+
+class Channel:
+    """A satellite's signal being tracked."""
+
+    def __init__(
+        self,
+        signal: Signal,
+        prn: int,
+        settings: TrackingSettings,
+        *,
+        sample_rate_hz: float,
+        sample: int,
+        code_chips: float,
+        doppler_hz: float,
+    ) -> None:
+        """Start at an integer sample with the code phase there (chips) and a Doppler."""
+        self.signal = signal
+        self.satellite = signal.satellite(prn)
+        self.settings = settings
+        self.mode = Mode.PULL_IN
+        self.events: list[Event] = []
+        self.recorded: list[Correlations] = []
+        self.symbols = bytearray()  # hard decisions since the last phase lock, 1: negative
+        self.symbols_first = 0  # code period at which symbols[0] starts
+        self.anchor: int | None = None  # code period of the satellite's week at period 0
+        self.edge: int | None = None  # period of a symbol edge, modulo the symbol's length
+        self.half_cycle: float | None = None  # 0 or ½ cycle once the polarity is known
+        self.slips = 0
+        self.locks = NO_LOCK
+        self._runs = code_runs(signal.id.name, prn)
+        half = settings.spacing_chips / 2.0
+        self._taps: FloatArray = np.array([half, 0.0, -half])
+        self._rate = sample_rate_hz
+        self._sample_chips = signal.id.chip_rate_hz / sample_rate_hz
+        self._length = float(signal.id.code_chips)
+        self._bit_sync: BitSync = start_bit_sync(signal.symbol_periods)
+        self._prompts: list[ComplexArray] = []  # of the stretch bit sync works on
+        self._prompts_first = 0
+        self._bit_sync_first = 0
+        self._symbol_sum = 0j
+        self._symbol_periods = 0
+        self._aiding = NO_AIDING
+        self._since = sample  # sample of the last change of mode
+        self._code_since = sample  # sample of the last restart of the code schedule
+        self._phase_since = sample
+        self._phase_valid = False
+        self._frequency_error_hz = 0.0
+
+        self.periods = 0
+        self._carrier = NcoState(0.0, doppler_hz, 0.0)
+        self._code_offset_hz = 0.0
+        # The first period starts at the next code epoch after the given sample.
+        chip_rate = signal.id.chip_rate_hz * (1.0 + doppler_hz / signal.id.carrier_hz)
+        wait_s = (self._length - code_chips % self._length) / chip_rate
+        start = sample + int(wait_s * sample_rate_hz)
+        chips = ((start - sample) / sample_rate_hz - wait_s) * chip_rate
+        self.command = self._command(start, chips)
+        self.history: list[Interval] = [self._interval()]
+
+    # --- the step ----------------------------------------------------------------------------
+
+    def run(self, sums: RunningSums, until: int, aiding: AidingSource = unaided) -> None:
+        """Track through all intervals that end before sample `until`."""
+        self.history = self.history[-1:]
+        self.events = []
+        self.recorded = []
+        margin = 4 + int(2.0 * self.settings.spacing_chips / self._sample_chips)
+        while self.mode is not Mode.LOST:
+            periods, coherent = self._plan()
+            middle_s, end_s = self._times(periods)
+            if self.command.sample + int(end_s * self._rate) + margin >= until:
+                return
+            seen = self._correlate(sums, periods, coherent)
+            self._steer(seen, middle_s, end_s, aiding)
+            self._detect(seen)
+            self._collect_symbols(seen)
+            self._decide(seen)
+            self.history.append(self._interval())
+
+    def _plan(self) -> tuple[int, bool]:
+        """Length of the next interval in code periods, and whether it lies within one symbol."""
+        size = self.signal.symbol_periods
+        if self.edge is None:
+            return size, False
+        to_edge = (self.edge - self.periods) % size
+        coherent = self.settings.coherent_periods
+        return (to_edge % coherent or coherent), True
+
+    def _times(self, periods: int) -> tuple[float, float]:
+        """Middle and end of the next interval, s after the command's sample."""
+        command = self.command
+
+        def reach(chips: float) -> float:
+            t = (chips - command.code_chips) / command.code_hz
+            return (chips - command.code_chips) / (command.code_hz + 0.5 * command.code_hzps * t)
+
+        return reach(0.5 * periods * self._length), reach(periods * self._length)
+
+    def _correlate(self, sums: RunningSums, periods: int, coherent: bool) -> Accumulated:
+        taps = correlate(sums, self.command, self._runs, self._taps, periods)
+        if self.settings.record_correlations:
+            self.recorded.append(Correlations(self.command.sample, self.signal.period_s, taps))
+        early, prompt, late = taps.sum(axis=0).tolist()
+        period_s = self.signal.period_s
+        return Accumulated(taps, early, prompt, late, periods * period_s, period_s, coherent)
+
+    def _steer(
+        self, seen: Accumulated, middle_s: float, end_s: float, aiding: AidingSource
+    ) -> None:
+        """Discriminate, filter, and give the next command."""
+        command = self.command
+        whole = int(end_s * self._rate)
+        elapsed_s = whole / self._rate
+        carrier = code = NO_CORRECTION
+        if self.mode is not Mode.HOLD and 4 * seen.periods.shape[0] >= self._full:
+            carrier = self._carrier_tracker.correct(seen)
+            code = self._code_tracker.correct(seen)
+        before = advance(self._carrier, elapsed_s)
+        after = corrected(before, carrier, elapsed_s - middle_s)
+        aid = aiding(command.sample + whole)
+        expected_hz = self._aiding.frequency_hz + elapsed_s * self._aiding.rate_hzps
+        self._carrier = NcoState(
+            after.phase,
+            after.frequency + aid.frequency_hz - expected_hz,
+            after.rate + aid.rate_hzps - self._aiding.rate_hzps,
+        )
+        self._aiding = aid
+        self._frequency_error_hz += 0.3 * (carrier.frequency - self._frequency_error_hz)
+        self._code_offset_hz += code.frequency
+        chips = (
+            advance(NcoState(command.code_chips, command.code_hz, command.code_hzps), elapsed_s)[0]
+            - seen.periods.shape[0] * self._length
+            + code.phase
+            + code.frequency * (elapsed_s - middle_s)
+            + (after.phase - before.phase) / self.signal.carrier_to_code
+        )
+        self.periods += seen.periods.shape[0]
+        self.command = self._command(command.sample + whole, chips)
+
+    def _command(self, sample: int, code_chips: float) -> NcoCommand:
+        carrier, to_code = self._carrier, self.signal.carrier_to_code
+        return NcoCommand(
+            sample,
+            carrier.phase,
+            carrier.frequency,
+            carrier.rate,
+            code_chips,
+            self.signal.id.chip_rate_hz + carrier.frequency / to_code + self._code_offset_hz,
+            carrier.rate / to_code,
+        )
+
+    # --- parts of the moment -----------------------------------------------------------------
+
+    @property
+    def _full(self) -> int:
+        return self.signal.symbol_periods if self.edge is None else self.settings.coherent_periods
+
+    @property
+    def _carrier_tracker(self) -> Tracker:
+        if self.mode is Mode.PHASE:
+            settings = self.settings
+            return PhaseLock(settings.carrier_order, settings.carrier_bandwidth_hz)
+        return FrequencyLock(
+            self.settings.pull_in_bandwidth_hz
+            if self.mode is Mode.PULL_IN
+            else self.settings.frequency_bandwidth_hz
+        )
+
+    @property
+    def code_bandwidth_hz(self) -> float:
+        """Present bandwidth of the code loop by the schedule, T(5.22)."""
+        schedule = self.settings.code_bandwidths_hz
+        left_s = self._seconds_since(self._code_since)
+        for bandwidth in schedule[:-1]:
+            left_s -= settling_time_s(bandwidth)
+            if left_s < 0.0:
+                return bandwidth
+        return schedule[-1]
+
+    @property
+    def _code_tracker(self) -> Tracker:
+        settings = self.settings
+        return DelayLock(
+            settings.code_order, self.code_bandwidth_hz, settings.spacing_chips, self._sample_chips
+        )
+
+    def _seconds_since(self, sample: int) -> float:
+        return (self.command.sample - sample) / self._rate
+
+    # --- detect, collect, decide -------------------------------------------------------------
+
+    def _detect(self, seen: Accumulated) -> None:
+        self.locks = update_locks(self.locks, seen)
+        if self.mode is not Mode.FREQUENCY:
+            return
+        if not self._prompts:
+            self._prompts_first = self.periods - seen.periods.shape[0]
+        self._prompts.append(seen.periods[:, 1].copy())
+        if len(self._prompts) * self.signal.symbol_s > _REMEMBERED_S:
+            self._prompts_first += self._prompts.pop(0).size
+        if self.edge is None:
+            first = self._prompts_first if self._bit_sync.symbols == 0 else self._bit_sync_first
+            self._bit_sync_first = first
+            self._bit_sync = add_prompts(self._bit_sync, seen.periods[:, 1])
+            edge = symbol_edge(self._bit_sync)
+            if edge is not None:
+                symbols = self._bit_sync.symbols
+                self.set_edge(self._bit_sync_first + edge, f"energy of {symbols} symbols")
+
+    def set_edge(self, period: int, reason: str) -> None:
+        """Make known that a symbol starts at a code period of this channel's count."""
+        self.edge = period % self.signal.symbol_periods
+        self._note("bit sync", reason)
+
+    def _look_back(self, edge: int) -> None:
+        """Demodulate the symbols seen in frequency lock and hand the phase to the phase loop.
+
+        Called at a symbol edge, so the last symbol remembered ends at the command.
+        """
+        size = self.signal.symbol_periods
+        prompts = np.concatenate(self._prompts)
+        skip = (edge - self._prompts_first) % size
+        seen = demodulate(prompts[skip:].reshape(-1, size).sum(axis=1))
+        self.symbols = seen.symbols
+        self.symbols_first = self._prompts_first + skip
+        self._carrier = self._carrier._replace(
+            phase=self._carrier.phase + seen.phase_cycles + 0.5 * seen.step_cycles,
+            frequency=self._carrier.frequency + seen.step_cycles / self.signal.symbol_s,
+        )
+        self._symbol_sum, self._symbol_periods = 0j, 0
+
+    def _collect_symbols(self, seen: Accumulated) -> None:
+        if self.mode is not Mode.PHASE or self.edge is None:
+            return
+        size = self.signal.symbol_periods
+        self._symbol_sum += seen.prompt
+        self._symbol_periods += seen.periods.shape[0]
+        if (self.periods - self.edge) % size == 0:
+            if self._symbol_periods == size:
+                self.symbols.append(int(self._symbol_sum.real < 0.0))
+            self._symbol_sum, self._symbol_periods = 0j, 0
+
+    def _decide(self, seen: Accumulated) -> None:
+        """The state machine: at most one transition per interval."""
+        settings = self.settings
+        here_s = self._seconds_since(self._since)
+        cn0 = cn0_dbhz(self.locks, seen.period_s)
+        fast = fast_cn0_dbhz(self.locks, seen.period_s)
+        gone = fast < settings.phase_threshold_dbhz - 4.0
+        match self.mode:
+            case Mode.PULL_IN:
+                if here_s >= settings.pull_in_s and gone:
+                    self._go(Mode.LOST, f"no signal after acquisition: {fast:.1f} dB-Hz")
+                elif here_s >= settings.pull_in_s and abs(self._frequency_error_hz) < 5.0:
+                    self._go(Mode.FREQUENCY, f"frequency settled at {fast:.1f} dB-Hz")
+                elif here_s > 10.0 * settings.pull_in_s:
+                    self._go(Mode.LOST, "frequency does not settle")
+            case Mode.FREQUENCY:
+                if gone and here_s > 0.1:
+                    self._go(Mode.HOLD, f"C/N0 fell to {fast:.1f} dB-Hz")
+                elif (
+                    self.edge is not None
+                    and (self.periods - self.edge) % self.signal.symbol_periods == 0
+                    and here_s > 0.1
+                    and abs(self._frequency_error_hz) < 3.0
+                    and cn0 > settings.phase_threshold_dbhz
+                ):
+                    self._go(Mode.PHASE, f"symbol edges known, {cn0:.1f} dB-Hz")
+            case Mode.PHASE:
+                self._watch_phase(here_s, fast, gone)
+            case Mode.HOLD:
+                if not gone and here_s > 0.1 and fast > settings.phase_threshold_dbhz:
+                    self._go(Mode.FREQUENCY, f"signal back at {fast:.1f} dB-Hz")
+                elif here_s > settings.lost_after_s:
+                    self._go(Mode.LOST, f"no signal for {here_s:.1f} s")
+            case Mode.LOST:
+                pass
+
+    def _watch_phase(self, here_s: float, fast_dbhz: float, gone: bool) -> None:
+        indicator = self.locks.phase
+        if gone:
+            self._go(Mode.HOLD, f"C/N0 fell to {fast_dbhz:.1f} dB-Hz")
+        elif here_s > 0.5 and indicator < 0.4:
+            self._go(Mode.FREQUENCY, f"phase lock lost: mean cos 2φ {indicator:.2f}")
+        elif not self._phase_valid and here_s > 0.2 and indicator > 0.8:
+            off_hz = residual_frequency_hz(self.locks, self.signal.period_s)
+            step_hz = 0.5 / self.signal.symbol_s
+            if abs(off_hz) > 0.5 * step_hz:  # Costas loops also lock at multiples of 25 Hz
+                false_hz = step_hz * round(off_hz / step_hz)
+                self._carrier = self._carrier._replace(frequency=self._carrier.frequency + false_hz)
+                self.command = self._command(self.command.sample, self.command.code_chips)
+                self.locks = restart_phase(self.locks)
+                self._note("false lock", f"frequency moved by {false_hz:+.0f} Hz")
+            else:
+                self._phase_valid = True
+                self._phase_since = self.command.sample
+                self._note("phase lock", f"mean cos 2φ {indicator:.2f}")
+
+    def _go(self, mode: Mode, reason: str) -> None:
+        if mode not in TRANSITIONS[self.mode]:
+            raise ValueError(f"{self.satellite}: no way from {self.mode.name} to {mode.name}")
+        if self.mode is Mode.PHASE:
+            self.slips += 1
+            self.half_cycle = None
+            self._phase_valid = False
+        if mode is Mode.PHASE and self.edge is not None:
+            self._look_back(self.edge)
+            self.locks = restart_phase(self.locks)
+        else:  # only a phase loop keeps a frequency rate of its own
+            self._carrier = self._carrier._replace(rate=self._aiding.rate_hzps)
+        self.command = self._command(self.command.sample, self.command.code_chips)
+        if mode is Mode.FREQUENCY:
+            self._prompts = []
+            self._bit_sync = start_bit_sync(self.signal.symbol_periods)
+        if self.mode is Mode.HOLD:
+            self._code_since = self.command.sample
+        self._frequency_error_hz = 0.0
+        self.mode = mode
+        self._since = self.command.sample
+        self._note(mode.value, reason)
+
+    def drop(self, reason: str) -> None:
+        """Stop tracking."""
+        self.mode = Mode.LOST
+        self._note(Mode.LOST.value, reason)
+
+    def set_polarity(self, half_cycle: float) -> None:
+        """Make known whether the tracked carrier is half a cycle off (0 or ½)."""
+        if self.half_cycle is None:
+            self.half_cycle = half_cycle
+            if half_cycle:
+                self.slips += 1
+
+    # --- what others read --------------------------------------------------------------------
+
+    def _note(self, what: str, reason: str) -> None:
+        self.events.append(Event(self.command.sample, self.satellite, what, reason))
+
+    def _interval(self) -> Interval:
+        settled = self.mode in (Mode.FREQUENCY, Mode.PHASE)
+        return Interval(
+            self.command,
+            self.periods,
+            settled and self._seconds_since(self._code_since) > self.settings.pull_in_s,
+            self._phase_valid,
+            self.slips,
+            self._phase_since,
+            cn0_dbhz(self.locks, self.signal.period_s),
+        )
+
+    def at(self, sample: int) -> Interval:
+        """The interval that holds at a sample of the epoch just run."""
+        for interval in reversed(self.history):
+            if interval.command.sample <= sample:
+                return interval
+        return self.history[0]
+
+    def report(self, stage: str) -> ChannelReport:
+        """State now, for logs and screen."""
+        phase = self.mode is Mode.PHASE
+        return ChannelReport(
+            satellite=self.satellite,
+            signal=self.signal.id.name,
+            stage=stage,
+            mode=self.mode.value,
+            cn0_dbhz=cn0_dbhz(self.locks, self.signal.period_s),
+            doppler_hz=self.command.carrier_hz,
+            carrier_lock=self.locks.phase,
+            aiding_minus_loop_hz=self._aiding.frequency_hz - self.command.carrier_hz
+            if self._aiding != NO_AIDING
+            else 0.0,
+            lock_time_s=self._seconds_since(self._phase_since) if self._phase_valid else 0.0,
+            coherent_s=self._full * self.signal.period_s if self.edge is not None else 0.001,
+            carrier_bandwidth_hz=self.settings.carrier_bandwidth_hz
+            if phase
+            else self.settings.frequency_bandwidth_hz,
+            code_bandwidth_hz=self.code_bandwidth_hz,
+        )

@@ -1,0 +1,89 @@
+"""Receiver time: the sample counter steered to GPST.
+
+The model says which GPST a sample was taken at. Epochs stand at whole multiples of the output
+interval of that time, so the clock bias left in the observations is only the model's error (some
+ns), and code, phase and Doppler of an epoch belong to one instant.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+from deepgnss.core.constants import SECONDS_PER_WEEK
+from deepgnss.core.records import SampleInstant
+from deepgnss.core.time import GpsTime
+
+NS = 1_000_000_000
+_BIAS_GAIN = 0.1  # share of a solution's clock residual taken into the model
+_DRIFT_GAIN = 0.05
+
+
+def to_ns(time: GpsTime) -> int:
+    """Nanoseconds of GPST since the GPS epoch, rounded."""
+    return time.week * SECONDS_PER_WEEK * NS + round(time.tow_s * NS)
+
+
+def from_ns(nanoseconds: int) -> GpsTime:
+    """GPST of a count of nanoseconds since the GPS epoch."""
+    week, rest = divmod(nanoseconds, SECONDS_PER_WEEK * NS)
+    return GpsTime(week, rest / NS)
+
+
+@dataclass(frozen=True, slots=True)
+class ReceiverClock:
+    """GPST of sample n: origin + n/rate − (bias + drift·(n/rate − since))."""
+
+    sample_rate_hz: Fraction
+    origin_ns: int
+    bias_s: float = 0.0
+    drift_sps: float = 0.0
+    since_s: float = 0.0
+    uncertainty_s: float = 1e-7  # of the origin, until a solution has steered it
+
+    def error_s(self, elapsed_s: float) -> float:
+        """The sample counter's advance on GPST at a nominal time since sample 0."""
+        return self.bias_s + self.drift_sps * (elapsed_s - self.since_s)
+
+    def gpst_ns(self, sample: int) -> float:
+        """GPST of a sample, ns since the GPS epoch less `origin_ns`."""
+        elapsed_s = float(sample / self.sample_rate_hz)
+        return (elapsed_s - self.error_s(elapsed_s)) * NS
+
+    def time(self, sample: int) -> GpsTime:
+        """GPST of a sample."""
+        return from_ns(self.origin_ns).plus(self.gpst_ns(sample) / NS)
+
+    def instant(self, tag_ns: int) -> SampleInstant:
+        """Where on the sample axis a GPST tag lies."""
+        nominal = Fraction(tag_ns - self.origin_ns, NS)
+        tag_s = float(nominal)
+        error_s = self.error_s(tag_s + self.error_s(tag_s))
+        exact = nominal * self.sample_rate_hz
+        index = math.floor(exact)
+        samples = float(exact - index) + error_s * float(self.sample_rate_hz)
+        whole = math.floor(samples)
+        return SampleInstant(index + whole, samples - whole)
+
+    def lag_s(self, tag_ns: int, instant: SampleInstant) -> float:
+        """Tag − origin − instant/rate, s, without the rounding of large numbers."""
+        exact = Fraction(tag_ns - self.origin_ns, NS) - instant.index / self.sample_rate_hz
+        return float(exact) - instant.fraction / float(self.sample_rate_hz)
+
+    def steered(
+        self, tag_ns: int, bias_s: float, drift_sps: float, *, first: bool
+    ) -> ReceiverClock:
+        """Model after a solution found the tag ahead of GPST by a bias, growing at a drift.
+
+        The first solution is taken whole, later ones smoothed.
+        """
+        elapsed_s = float(Fraction(tag_ns - self.origin_ns, NS))
+        gain, drift_gain = (1.0, 1.0) if first else (_BIAS_GAIN, _DRIFT_GAIN)
+        return replace(
+            self,
+            bias_s=self.error_s(elapsed_s) + gain * bias_s,
+            drift_sps=self.drift_sps + drift_gain * drift_sps,
+            since_s=elapsed_s,
+            uncertainty_s=1e-7,
+        )

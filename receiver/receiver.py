@@ -1,0 +1,506 @@
+"""The receiver: a complete unaided one by itself, driven epoch by epoch.
+
+One step: search, run every channel through the epoch, read messages, observe, position. What it
+knows after a step it uses in the next; nothing looks ahead of the epoch's samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from deepgnss.core.constants import SECONDS_PER_WEEK
+from deepgnss.core.records import (
+    ChannelReport,
+    Correlations,
+    Ephemeris,
+    Epoch,
+    Event,
+    FloatArray,
+    NavData,
+    NavSolution,
+    RunningSums,
+)
+from deepgnss.core.time import GpsTime
+from deepgnss.receiver import framing, lnav, pvt
+from deepgnss.receiver.acquisition import (
+    Acquisition,
+    AcquisitionSettings,
+    cold_search,
+    search,
+)
+from deepgnss.receiver.channel import AidingSource, Channel, Mode, TrackingSettings, unaided
+from deepgnss.receiver.clock import NS, ReceiverClock, from_ns
+from deepgnss.receiver.observables import PhaseMemory, observe
+from deepgnss.receiver.search import (
+    Place,
+    SearchSettings,
+    Sight,
+    next_blind,
+    predict_sights,
+    window_of,
+)
+from deepgnss.receiver.signals import Signal
+
+STAGES = (
+    "searched",
+    "acquired",
+    "pulled in",
+    "bit sync",
+    "frame sync",
+    "ephemeris",
+    "used",
+)
+_TRAVEL_S = 0.075  # of a signal, when nothing is known: right to 12 ms
+_TIME_GUESS_S = 0.015
+
+
+@dataclass(frozen=True, slots=True)
+class ReceiverSettings:
+    """Everything a receiver is told beforehand."""
+
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
+    acquisition: AcquisitionSettings = field(default_factory=AcquisitionSettings)
+    searching: SearchSettings = field(default_factory=SearchSettings)
+    pvt: pvt.PvtParameters = field(default_factory=pvt.PvtParameters)
+    output_ns: int = NS  # interval of output epochs
+    solution_ns: int = NS // 10  # interval of positions
+    smoothing: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Knowledge:
+    """What is known before the first sample: from a NAV file, a hint, or a scout pass."""
+
+    nav: NavData = field(default_factory=NavData)
+    near: GpsTime | None = None  # rough date, for the week number
+    clock: ReceiverClock | None = None
+    position_e_m: FloatArray | None = None
+    velocity_e_mps: FloatArray | None = None
+
+
+class Progress(NamedTuple):
+    """How far a satellite came, for the why-no-fix table."""
+
+    stage: str
+    detail: str
+
+
+class Fix(NamedTuple):
+    """Observations and solution of one tag."""
+
+    epoch: Epoch
+    solution: NavSolution
+    output: bool  # falls on the output interval
+
+
+@dataclass(frozen=True, slots=True)
+class StepResult:
+    """Everything an epoch gave."""
+
+    first: int
+    end: int
+    fixes: tuple[Fix, ...]
+    reports: tuple[ChannelReport, ...]
+    events: tuple[Event, ...]
+    subframes: tuple[tuple[str, lnav.Subframe], ...]
+    correlations: Mapping[str, tuple[Correlations, ...]]
+
+
+class Receiver:
+    """One signal's receiver on one stream, unaided unless aiding sources are given."""
+
+    def __init__(
+        self,
+        signal: Signal,
+        sample_rate_hz: float,
+        settings: ReceiverSettings,
+        knowledge: Knowledge,
+        executor: Executor | None = None,
+        workers: int = 1,
+    ) -> None:
+        """Workers: number of tasks the channels of an epoch are dealt to."""
+        self.signal = signal
+        self.settings = settings
+        self.nav = knowledge.nav
+        self.clock = knowledge.clock
+        self.solution: NavSolution | None = None
+        self.channels: dict[int, Channel] = {}
+        self.progress: dict[str, Progress] = {}
+        self._rate = Fraction(sample_rate_hz)
+        self._near = knowledge.near
+        self._start = knowledge
+        self._executor = executor
+        self._workers = workers
+        self._frames: dict[int, framing.FrameState] = {}
+        self._heads: dict[int, tuple[Channel, lnav.Frame]] = {}
+        self._memory: dict[int, PhaseMemory] = {}
+        self._tried: dict[int, int] = {}
+        self._searched_blind = -(10**18)
+        self._searched_predicted = -(10**18)
+        self._started = False
+        self._steered = knowledge.position_e_m is not None and knowledge.clock is not None
+        self._last_tag_ns: int | None = None
+        self._last_place: tuple[FloatArray, FloatArray] | None = None
+        self._events: list[Event] = []
+
+    # --- the epoch ---------------------------------------------------------------------------
+
+    def step(
+        self,
+        sums: RunningSums,
+        first: int,
+        end: int,
+        aiding: Mapping[str, AidingSource] | None = None,
+    ) -> StepResult:
+        """Run through samples [first, end); `sums` holds them and a symbol before them."""
+        self._events = []
+        self._search(sums, first)
+        self._track(sums, end, aiding or {})
+        subframes = self._read_messages()
+        fixes = self._observe(first, end)
+        reports = tuple(
+            channel.report(self._stage(channel.satellite)) for channel in self._tracked()
+        )
+        correlations = {
+            channel.satellite: tuple(channel.recorded)
+            for channel in self._tracked()
+            if channel.recorded
+        }
+        self._retire()
+        events = tuple(sorted(self._events, key=lambda event: (event.sample, event.satellite)))
+        return StepResult(first, end, fixes, reports, events, subframes, correlations)
+
+    def _tracked(self) -> list[Channel]:
+        return [self.channels[prn] for prn in sorted(self.channels)]
+
+    def _track(self, sums: RunningSums, end: int, aiding: Mapping[str, AidingSource]) -> None:
+        channels = self._tracked()
+
+        def run(share: list[Channel]) -> None:
+            for channel in share:
+                channel.run(sums, end, aiding.get(channel.satellite, unaided))
+
+        if self._executor is None or self._workers < 2:
+            run(channels)
+        else:
+            shares = [channels[k :: self._workers] for k in range(self._workers)]
+            for done in [self._executor.submit(run, share) for share in shares]:
+                done.result()
+        for channel in channels:
+            self._events.extend(channel.events)
+            if channel.mode is not Mode.PULL_IN:
+                self._advance(channel.satellite, "pulled in", f"in {channel.mode.value}")
+            if channel.edge is not None:
+                self._advance(channel.satellite, "bit sync", f"in {channel.mode.value}")
+
+    def _retire(self) -> None:
+        for prn, channel in list(self.channels.items()):
+            if channel.mode is Mode.LOST:
+                del self.channels[prn]
+                self._heads.pop(prn, None)
+                self._memory.pop(prn, None)
+                reason = channel.events[-1].reason if channel.events else "lost"
+                progress = self.progress[channel.satellite]
+                self.progress[channel.satellite] = Progress(progress.stage, f"lost: {reason}")
+
+    # --- search ------------------------------------------------------------------------------
+
+    def _place(self, sample: int) -> Place | None:
+        """Where and when the receiver is at a sample, if known well enough to predict signals."""
+        if self.clock is None or not self._steered:
+            return None
+        if self._last_place is not None:
+            r_e_m, v_e_mps = self._last_place
+        elif self._start.position_e_m is not None:
+            r_e_m = self._start.position_e_m
+            v_e_mps = (
+                np.zeros(3) if self._start.velocity_e_mps is None else self._start.velocity_e_mps
+            )
+        else:
+            return None
+        return Place(self.clock.time(sample), r_e_m, v_e_mps, self.clock.drift_sps)
+
+    def _search(self, sums: RunningSums, first: int) -> None:
+        """Look for satellites that are not tracked, on the samples that begin this epoch."""
+        settings = self.settings.searching
+        rate = float(self._rate)
+        place = self._place(first)
+        sights = predict_sights(place, self.nav, self.signal) if place is not None else []
+        known = {int(sight.satellite[1:]) for sight in sights}
+        if (
+            place is not None
+            and first - self._searched_predicted >= settings.predicted_every_s * rate
+        ):
+            self._searched_predicted = first
+            for sight in sights:
+                self._search_predicted(sums, first, place, sight)
+        if not self._started:
+            self._started = True
+            self._searched_blind = first
+            if not sights:
+                prns = [prn for prn in self.signal.prns if prn not in known]
+                found = cold_search(
+                    sums, first, self.signal, self.settings.acquisition, prns, self._executor
+                )
+                for acquisition in found:
+                    self._take(acquisition, first, None)
+        elif first - self._searched_blind >= settings.blind_every_s * rate:
+            self._searched_blind = first
+            busy = frozenset(self.channels) | known
+            prn = next_blind(self.signal.prns, busy, self._tried)
+            if prn is not None:
+                self._tried[prn] = first
+                found = [search(sums, first, self.signal, prn, self.settings.acquisition)]
+                self._take(found[0], first, None)
+
+    def _search_predicted(self, sums: RunningSums, first: int, place: Place, sight: Sight) -> None:
+        prn = int(sight.satellite[1:])
+        if prn in self.channels or sight.elevation_rad < self.settings.searching.below_mask_rad:
+            return
+        window = window_of(sight, place, self.signal, self.settings.searching)
+        seen = search(sums, first, self.signal, prn, self.settings.acquisition, window)
+        self._take(seen, first, sight)
+
+    def _take(self, seen: Acquisition, first: int, sight: Sight | None) -> None:
+        """Give a found satellite a channel."""
+        peak = f"peak {seen.peak_ratio:.1f} of {seen.threshold:.1f} needed"
+        self._advance(
+            seen.satellite, "searched", f"{peak}{': ' + seen.reason if seen.reason else ''}"
+        )
+        if not seen.found:
+            return
+        self._advance(
+            seen.satellite,
+            "acquired",
+            f"{peak}, {seen.cn0_dbhz:.1f} dB-Hz at {seen.doppler_hz:+.0f} Hz",
+        )
+        self._events.append(
+            Event(first, seen.satellite, "acquired", self.progress[seen.satellite].detail)
+        )
+        channel = Channel(
+            self.signal,
+            seen.prn,
+            self.settings.tracking,
+            sample_rate_hz=float(self._rate),
+            sample=first,
+            code_chips=seen.code_chips,
+            doppler_hz=seen.doppler_hz,
+        )
+        self.channels[seen.prn] = channel
+        self._frames.setdefault(seen.prn, framing.start(channel.satellite))
+        self._memory[seen.prn] = PhaseMemory()
+        if sight is not None and self.clock is not None:
+            self._anchor_by_prediction(channel, sight, first)
+
+    def _anchor_by_prediction(self, channel: Channel, sight: Sight, first: int) -> None:
+        """Transmit time and symbol edges from the predicted travel time (known to ≪ 0.5 ms)."""
+        if self.clock is None:
+            return
+        period_ns = self.signal.period_s * NS
+        command = channel.command
+        wait_ns = (command.sample - first) / float(self._rate) * NS
+        sent_ns = self.clock.origin_ns + round(
+            self.clock.gpst_ns(first) + sight.transmit_s * NS + wait_ns
+        )
+        channel.anchor = round(sent_ns / period_ns)
+        channel.set_edge(-channel.anchor, "predicted travel time")
+
+    # --- messages and time ---------------------------------------------------------------------
+
+    def _read_messages(self) -> tuple[tuple[str, lnav.Subframe], ...]:
+        subframes: list[tuple[str, lnav.Subframe]] = []
+        for prn, channel in sorted(self.channels.items()):
+            if channel.mode is not Mode.PHASE or not channel.symbols:
+                continue
+            found = framing.read_symbols(self._frames[prn], channel, self._date())
+            self._frames[prn] = found.state
+            subframes.extend((channel.satellite, subframe) for subframe in found.subframes)
+            for frame in found.heads:
+                self._heads[prn] = (channel, frame)
+            fresh = tuple(item for item in found.news if not self._is_copy(channel, item))
+            self.nav = framing.take_news(self.nav, fresh)
+            for item in fresh:
+                if isinstance(item, Ephemeris):
+                    self._events.append(
+                        Event(
+                            channel.command.sample,
+                            channel.satellite,
+                            "ephemeris",
+                            f"IODE {item.iode}, health {item.health}",
+                        )
+                    )
+        self._take_heads()
+        for prn, channel in self.channels.items():
+            if channel.anchor is not None:
+                satellite = channel.satellite
+                self._advance(satellite, "frame sync", f"in {channel.mode.value}")
+                if satellite in self.nav.ephemerides:
+                    self._advance(satellite, "ephemeris", f"in {channel.mode.value}")
+        return tuple(subframes)
+
+    def _date(self) -> GpsTime | None:
+        """Rough date: clock, hint, or any ephemeris."""
+        if self.clock is not None:
+            return self.clock.time(0)
+        if self._near is not None:
+            return self._near
+        for ephemerides in self.nav.ephemerides.values():
+            return ephemerides[-1].toe
+        return None
+
+    def _take_heads(self) -> None:
+        """Frame heads set transmit time and polarity once they are beyond doubt.
+
+        A head is believed when its subframe (or the next head) confirmed it, when it agrees with
+        the receiver's time, or when two other satellites say the same.
+        """
+        date = self._date()
+        if date is None:
+            return
+        half = SECONDS_PER_WEEK // 2
+        origins: dict[int, int] = {}
+        anchors: dict[int, int] = {}
+        for prn, (channel, frame) in self._heads.items():
+            offset_s = (frame.start_tow_s - date.tow_s + half) % SECONDS_PER_WEEK - half
+            anchors[prn] = framing.anchor_of(channel, frame, date.plus(offset_s).week)
+            origins[prn] = self._origin_ns(channel, anchors[prn])
+        for prn, origin_ns in origins.items():
+            channel, frame = self._heads[prn]
+            agreeing = sum(abs(origin_ns - other) < 0.03 * NS for other in origins.values()) - 1
+            fits = self.clock is not None and abs(origin_ns - self.clock.origin_ns) < 0.05 * NS
+            if frame.confirmed or fits or agreeing >= 2:
+                self._settle(channel, frame, anchors[prn])
+                del self._heads[prn]
+
+    def _origin_ns(self, channel: Channel, anchor: int) -> int:
+        """GPST of sample 0, ns since the GPS epoch, by a channel's anchor and a guessed travel."""
+        sent_ns = (anchor + channel.periods) * round(self.signal.period_s * NS)
+        elapsed_ns = round(channel.command.sample / self._rate * NS)
+        return sent_ns + round(_TRAVEL_S * NS) - elapsed_ns
+
+    def _settle(self, channel: Channel, frame: lnav.Frame, anchor: int) -> None:
+        if channel.anchor is not None and channel.anchor != anchor:
+            detail = f"frame says {anchor - channel.anchor:+d} code periods"
+            self._note(channel, "time corrected", detail)
+        elif channel.anchor is None:
+            self._note(
+                channel, "frame sync", f"subframe {frame.subframe_id}, {frame.start_tow_s} s"
+            )
+        channel.anchor = anchor
+        channel.set_polarity(0.5 if frame.polarity else 0.0)
+        if self.clock is None:
+            origin_ns = self._origin_ns(channel, anchor)
+            self.clock = ReceiverClock(self._rate, origin_ns, uncertainty_s=_TIME_GUESS_S)
+
+    def _is_copy(self, channel: Channel, item: Ephemeris | lnav.IonoUtc) -> bool:
+        """True, and the channel dropped, when it reads another satellite's message.
+
+        A channel locked to the cross-correlation of a strong satellite decodes that one's orbit.
+        """
+        if not isinstance(item, Ephemeris):
+            return False
+        for satellite, others in self.nav.ephemerides.items():
+            if satellite == channel.satellite:
+                continue
+            if any(e.m0_rad == item.m0_rad and e.omega_rad == item.omega_rad for e in others):
+                channel.drop(f"cross-correlation: sends the orbit of {satellite}")
+                return True
+        return False
+
+    # --- observables and position --------------------------------------------------------------
+
+    def _observe(self, first: int, end: int) -> tuple[Fix, ...]:
+        """Observations and solutions of the tags in (first, end]."""
+        fixes: list[Fix] = []
+        for tag_ns in self._tags(first, end):
+            fix = self._fix(tag_ns)
+            if fix is not None:
+                fixes.append(fix)
+        return tuple(fixes)
+
+    def _tags(self, first: int, end: int) -> list[int]:
+        """GPST tags, ns since the GPS epoch, at which this epoch's samples are observed."""
+        if self.clock is None:
+            return []
+        begin_ns, end_ns = (
+            self.clock.origin_ns + self.clock.gpst_ns(sample) for sample in (first, end)
+        )
+        if self._last_tag_ns is not None:
+            begin_ns = max(begin_ns, float(self._last_tag_ns))
+        tags: set[int] = set()
+        for interval in (self.settings.solution_ns, self.settings.output_ns):
+            tags.update(
+                range((int(begin_ns) // interval + 1) * interval, int(end_ns) + 1, interval)
+            )
+        return sorted(tag for tag in tags if self.clock.instant(tag).index < end)
+
+    def _fix(self, tag_ns: int) -> Fix | None:
+        epoch = self._epoch(tag_ns)
+        if not epoch.observations:
+            return None
+        solution = pvt.solve(epoch, self.nav, self.settings.pvt, self.solution)
+        if solution.valid and self.clock is not None:
+            first = not self._steered
+            self.clock = self.clock.steered(
+                tag_ns, solution.clock_s, solution.drift_sps, first=first
+            )
+            if first:  # observe again: the tag has moved by up to some ms
+                self._steered = True
+                epoch = self._epoch(tag_ns)
+                solution = pvt.solve(epoch, self.nav, self.settings.pvt, solution)
+        self._last_tag_ns = tag_ns
+        self.solution = solution if solution.valid else self.solution
+        if solution.valid:
+            self._last_place = (solution.r_e_m, solution.v_e_mps)
+            for satellite in solution.used:
+                self.progress[satellite] = Progress("used", "in the position")
+        for satellite, reason in solution.rejected.items():
+            progress = self.progress.get(satellite)
+            if progress is not None and progress.stage != "used":
+                self.progress[satellite] = Progress(progress.stage, f"rejected: {reason}")
+        if not self._steered:
+            return None  # tags are still some ms off
+        output = tag_ns % self.settings.output_ns == 0
+        if output:
+            self._remember(tag_ns, epoch)
+        return Fix(epoch, solution, output)
+
+    def _epoch(self, tag_ns: int) -> Epoch:
+        if self.clock is None:
+            raise ValueError("no receiver time")
+        instant = self.clock.instant(tag_ns)
+        observations = []
+        for prn, channel in sorted(self.channels.items()):
+            seen = observe(channel, self.clock, tag_ns, instant, self._memory[prn])
+            if seen is not None:
+                observations.append(seen.observation)
+        return Epoch(from_ns(tag_ns), instant, tuple(observations))
+
+    def _remember(self, tag_ns: int, epoch: Epoch) -> None:
+        """Phase memory goes on from an epoch that is put out."""
+        if self.clock is None:
+            return
+        for prn, channel in self.channels.items():
+            seen = observe(channel, self.clock, tag_ns, epoch.instant, self._memory[prn])
+            if seen is not None:
+                self._memory[prn] = seen.memory
+
+    # --- accounts ------------------------------------------------------------------------------
+
+    def _note(self, channel: Channel, what: str, reason: str) -> None:
+        self._events.append(Event(channel.command.sample, channel.satellite, what, reason))
+
+    def _stage(self, satellite: str) -> str:
+        progress = self.progress.get(satellite)
+        return progress.stage if progress is not None else STAGES[0]
+
+    def _advance(self, satellite: str, stage: str, detail: str) -> None:
+        """Note a stage unless the satellite came further before."""
+        if STAGES.index(stage) >= STAGES.index(self._stage(satellite)):
+            self.progress[satellite] = Progress(stage, detail)

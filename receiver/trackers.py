@@ -1,0 +1,131 @@
+"""Carrier and code trackers: interchangeable parts with one method, correlations in, correction out.
+
+A tracker holds parameters only. What a loop remembers (phase, frequency, rate) is the generator's
+own state, `NcoState`; a correction refers to the middle of the interval it was measured on.
+Aiding never passes through here: it is added to the command (see `channel`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from deepgnss.core.loops import loop_gains
+from deepgnss.receiver.discriminators import (
+    costas_arctan,
+    early_late_slope,
+    early_minus_late_envelope,
+    frequency_squared,
+)
+from deepgnss.core.records import ComplexArray
+
+
+class Accumulated(NamedTuple):
+    """What one interval gave: correlations of its code periods, and their sums over it."""
+
+    periods: ComplexArray  # (n, taps): early, prompt, late, extras
+    early: complex
+    prompt: complex
+    late: complex
+    seconds: float
+    period_s: float
+    coherent: bool  # the sums may be used: no symbol edge lies inside
+
+
+class Correction(NamedTuple):
+    """Change of a generator's state at the middle of the interval (cycles or chips and per s)."""
+
+    phase: float
+    frequency: float
+    rate: float
+
+
+NO_CORRECTION = Correction(0.0, 0.0, 0.0)
+
+
+class NcoState(NamedTuple):
+    """Phase, frequency and rate of a generator (cycles or chips, s)."""
+
+    phase: float
+    frequency: float
+    rate: float
+
+
+def advance(state: NcoState, seconds: float) -> NcoState:
+    """State `seconds` later."""
+    return NcoState(
+        state.phase + seconds * (state.frequency + 0.5 * seconds * state.rate),
+        state.frequency + seconds * state.rate,
+        state.rate,
+    )
+
+
+def corrected(state: NcoState, correction: Correction, since_middle_s: float) -> NcoState:
+    """State with a correction that was due `since_middle_s` ago."""
+    moved = advance(NcoState(*correction), since_middle_s)
+    return NcoState(
+        state.phase + moved.phase, state.frequency + moved.frequency, state.rate + moved.rate
+    )
+
+
+class Tracker(Protocol):
+    """A strategy of carrier or code tracking."""
+
+    def correct(self, seen: Accumulated) -> Correction:
+        """Correction of the generator from one interval's correlations."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseLock:
+    """Costas PLL of order 2 or 3 on the coherent sum."""
+
+    order: int
+    bandwidth_hz: float
+    discriminator: Callable[[complex], float] = costas_arctan
+
+    def correct(self, seen: Accumulated) -> Correction:
+        """Phase, frequency and rate from the phase of the prompt sum."""
+        error = self.discriminator(seen.prompt)
+        gains = loop_gains(self.order, self.bandwidth_hz, seen.seconds)
+        return Correction(gains.phase * error, gains.frequency * error, gains.rate * error)
+
+
+@dataclass(frozen=True, slots=True)
+class FrequencyLock:
+    """FLL on products of neighbouring code periods, two-quadrant: needs no bit edges.
+
+    A first-order loop in frequency (the estimate is the mean over the interval).
+    """
+
+    bandwidth_hz: float
+
+    def correct(self, seen: Accumulated) -> Correction:
+        """Frequency from the squared products of neighbouring prompts."""
+        error_hz = frequency_squared(seen.periods[:, 1], seen.period_s)
+        gain = loop_gains(1, self.bandwidth_hz, seen.seconds).phase
+        return Correction(0.0, gain * error_hz, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class DelayLock:
+    """Carrier-aided DLL of order 1 or 2, normalized early minus late."""
+
+    order: int
+    bandwidth_hz: float
+    spacing_chips: float
+    sample_chips: float
+    discriminator: Callable[[float, float, float], float] = early_minus_late_envelope
+
+    def correct(self, seen: Accumulated) -> Correction:
+        """Delay (and its rate) from envelopes, coherent where no symbol edge lies inside."""
+        if seen.coherent:
+            early, late = abs(seen.early), abs(seen.late)
+        else:
+            power = (seen.periods.real**2 + seen.periods.imag**2).sum(axis=0)
+            early, late = float(power[0]) ** 0.5, float(power[2]) ** 0.5
+        slope = early_late_slope(self.spacing_chips, self.sample_chips)
+        error = self.discriminator(early, late, slope)
+        gains = loop_gains(self.order, self.bandwidth_hz, seen.seconds)
+        return Correction(gains.phase * error, gains.frequency * error, 0.0)
