@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import pymap3d
 
@@ -10,7 +12,12 @@ from deepgnss.core.records import FloatArray
 
 def geodetic(r_e_m: FloatArray) -> tuple[float, float, float]:
     """Latitude and longitude in rad and ellipsoidal height in m of an ECEF point (WGS-84)."""
-    lat, lon, height = pymap3d.ecef2geodetic(*(float(x) for x in r_e_m), deg=False)
+    return _geodetic(*(float(x) for x in r_e_m))
+
+
+@lru_cache(maxsize=8)  # a dozen callers ask for the same fix in turn
+def _geodetic(x_e_m: float, y_e_m: float, z_e_m: float) -> tuple[float, float, float]:
+    lat, lon, height = pymap3d.ecef2geodetic(x_e_m, y_e_m, z_e_m, deg=False)
     return float(lat), float(lon), float(height)
 
 
