@@ -6,7 +6,13 @@ from pathlib import Path
 
 import click
 
-from deepgnss.io.config import json_schema, load_config, notes, resolved_yaml
+from deepgnss.io.config import (
+    json_schema,
+    load_config,
+    notes,
+    reference_markdown,
+    resolved_yaml,
+)
 
 
 @click.command()
@@ -14,6 +20,9 @@ from deepgnss.io.config import json_schema, load_config, notes, resolved_yaml
 @click.option("--check", "action", flag_value="check", default=True, help="Validate (default).")
 @click.option("--show", "action", flag_value="show", help="Print it with all defaults, as YAML.")
 @click.option("--schema", "action", flag_value="schema", help="Print the JSON schema.")
+@click.option(
+    "--reference", "action", flag_value="reference", help="Print all keys explained, as Markdown."
+)
 @click.option(
     "--set",
     "settings",
@@ -25,6 +34,9 @@ def config(file: Path | None, action: str, settings: tuple[str, ...]) -> None:
     """Check, show or explain a configuration FILE (without one: the defaults)."""
     if action == "schema":
         click.echo(json_schema(), nl=False)
+        return
+    if action == "reference":
+        click.echo(reference_markdown(), nl=False)
         return
     loaded = load_config(file, settings, check_files=action == "check")
     for line in notes(loaded):

@@ -4,6 +4,7 @@ from deepgnss.io.config.aids import OscillatorConfig, oscillator_names
 from deepgnss.io.config.load import json_schema, load_config, resolved_yaml
 from deepgnss.io.config.notes import notes
 from deepgnss.io.config.recording import StreamConfig
+from deepgnss.io.config.reference import reference_markdown
 from deepgnss.io.config.schema import Config
 
 __all__ = [
@@ -14,5 +15,6 @@ __all__ = [
     "load_config",
     "notes",
     "oscillator_names",
+    "reference_markdown",
     "resolved_yaml",
 ]

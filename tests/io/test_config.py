@@ -3,6 +3,7 @@
 import datetime
 import json
 import math
+import re
 from pathlib import Path
 
 import hypothesis.strategies as st
@@ -16,6 +17,7 @@ from deepgnss.io.config import (
     load_config,
     notes,
     oscillator_names,
+    reference_markdown,
     resolved_yaml,
 )
 from deepgnss.io.config.text import parse_value
@@ -395,3 +397,23 @@ def test_what_has_no_effect_is_said(tmp_path):
 def test_config_is_frozen():
     with pytest.raises(ValueError, match="frozen"):
         Config().threads = 3
+
+
+# --- the reference page --------------------------------------------------------------------------
+
+
+def test_reference_page_is_in_step_with_the_schema():
+    page = EXAMPLE.parents[1] / "docs" / "config.md"
+    assert page.read_text(encoding="utf-8") == reference_markdown(), "run `make docs`"
+
+
+def test_example_gives_every_key_of_the_reference():
+    given = yaml_keys(EXAMPLE.read_text(encoding="utf-8"))
+    optional = {"name", "h0", "h-1", "h-2", "g_sensitivity", "scale", "columns"}
+    optional |= {"tick", "start", "tag_file", "roll", "pitch", "yaw"}
+    listed = set(re.findall(r"^\| `([\w-]+)`", reference_markdown(), re.MULTILINE))
+    assert listed - given <= optional
+
+
+def yaml_keys(text: str) -> set[str]:
+    return set(re.findall(r"([\w-]+):(?= |\n)", re.sub(r"#.*", "", text)))

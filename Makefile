@@ -1,0 +1,52 @@
+# Everything sets itself up: a virtual environment in .venv, made anew when pyproject.toml changes.
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.stamp
+
+# A Python that can make virtual environments; set PYTHON=... to choose another.
+PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3.14 python3 python; do \
+	$$p -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
+	&& echo $$p && break; done)
+
+.PHONY: help demo test check bench docs clean
+
+help:
+	@echo "make demo   simulate a drive and process it: observations, positions, reports in demo/out"
+	@echo "make test   all tests but the slow ones"
+	@echo "make check  lint, format, types, import floors"
+	@echo "make bench  speed of the correlator and of a whole run"
+	@echo "make docs   docs/config.md from the schema"
+
+$(STAMP): pyproject.toml
+	@test -n "$(PYTHON)" || { echo "deepgnss needs Python 3.11 or newer with its venv module\
+	 (Debian, Ubuntu: apt install python3-venv); set PYTHON=/path/to/python3.x" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+demo: $(STAMP)
+	$(BIN)/deepgnss simulate --preset demo --output demo
+	$(BIN)/deepgnss process demo/rec.bin --config demo/config.yaml
+
+# Kernels run as plain Python, then with every index checked (a cache of their own: numba does not
+# tell such code from the usual one), then everything as it is used.
+test: $(STAMP)
+	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q -m "kernel and not slow"
+	NUMBA_BOUNDSCHECK=1 XDG_CACHE_HOME=$(CURDIR)/$(VENV)/bounds-checked \
+		$(BIN)/pytest -q -m "kernel and not slow"
+	$(BIN)/pytest -m "not slow"
+
+check: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	cd src && ../$(BIN)/mypy -p deepgnss
+	$(BIN)/lint-imports
+
+bench: $(STAMP)
+	@for script in benchmarks/bench_*.py; do $(BIN)/python $$script || exit 1; done
+
+docs: $(STAMP)
+	$(BIN)/deepgnss config --reference > docs/config.md
+
+clean:
+	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
