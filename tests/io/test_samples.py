@@ -14,6 +14,8 @@ from deepgnss.io import samples as kernels
 from deepgnss.io.formats import VALUE_BITS, Block, Channels, Packing, StreamFormat
 from deepgnss.io.recording import Recording
 
+pytestmark = pytest.mark.kernel
+
 RATE = 4.0e6
 L1 = 1575.42e6
 
