@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -134,6 +134,11 @@ class RecordingDescription:
     streams: tuple[StreamFormat, ...]
     start: datetime | None = None
     notes: tuple[str, ...] = ()
+
+
+def as_utc(time: datetime) -> datetime:
+    """A time as UTC; one without a zone is taken to be UTC."""
+    return time.astimezone(UTC) if time.tzinfo else time.replace(tzinfo=UTC)
 
 
 def _contradictions(stream: StreamFormat) -> list[str]:

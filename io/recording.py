@@ -73,11 +73,7 @@ class DatasetBytes:
     """The raw bytes of a dataset (any integer or float type, chunked or not) in an HDF5 file."""
 
     def __init__(self, path: Path, name: str) -> None:
-        open_readable(path).close()
-        try:
-            self._file = h5py.File(path, "r")
-        except OSError as error:
-            raise RecordingError(f"{path}: no readable HDF5 file ({error})") from error
+        self._file = open_hdf5(path)
         dataset = self._file.get(name)
         if not isinstance(dataset, h5py.Dataset) or dataset.ndim == 0:
             self._file.close()
@@ -229,6 +225,16 @@ def open_readable(path: Path) -> BinaryIO:
         raise RecordingError(f"{path}: no such file") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def open_hdf5(path: Path) -> h5py.File:
+    """Open an HDF5 file for reading, or say in one line why not."""
+    open_readable(path).close()
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        reason = str(error).splitlines()[0]
+        raise RecordingError(f"{path}: is no readable HDF5 file ({reason})") from error
 
 
 def _count_samples(stream: StreamFormat, size: int, origin: str) -> tuple[int, tuple[str, ...]]:
