@@ -8,7 +8,7 @@ PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3.14 python3 p
 	$$p -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
 	&& echo $$p && break; done)
 
-.PHONY: help demo test check bench docs clean
+.PHONY: help demo test check lint types floors bench docs clean
 
 help:
 	@echo "make demo   simulate a drive and process it: observations, positions, reports in demo/out"
@@ -36,10 +36,16 @@ test: $(STAMP)
 		$(BIN)/pytest -q -m "kernel and not slow"
 	$(BIN)/pytest -m "not slow"
 
-check: $(STAMP)
+check: lint types floors
+
+lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(STAMP)
 	cd src && ../$(BIN)/mypy -p deepgnss
+
+floors: $(STAMP)
 	$(BIN)/lint-imports
 
 bench: $(STAMP)
