@@ -44,6 +44,7 @@ _UNIT: Final = np.array([1e4, 1e4, 1e4, 1e4, 1.0, 1.0, 1.0, 1.0, 10.0])  # of th
 
 _BIAS_SIGMA_M: Final = 1e6  # larger than any bias within one period
 _ANYWHERE_M: Final = 1e7
+_ANNEALING_MPS: Final = (1000.0, 300.0, 100.0, 30.0)
 _BEAM: Final = 400  # candidates kept during the search
 _HOPELESS: Final = 60.0  # cost over the best at which a candidate is dropped
 _FINALISTS: Final = 10
@@ -170,8 +171,10 @@ def solve(
         return _failed(rough, f"{len(problem.satellites)} of {needed} satellites needed", rejected)
     finalists = [
         (candidate, _adjust(problem, candidate.x, candidate.periods, candidate.inside))
-        for candidate in _search(problem, coarse_x)
+        for candidate in _search(problem, coarse_x, needed)
     ]
+    if not finalists:
+        return _failed(rough, f"no {needed} code phases fit each other", rejected)
     finalists.sort(key=lambda f: f[0].evidence + f[1].cost)
     candidate, best = finalists[0]
     total = candidate.evidence + best.cost
@@ -358,17 +361,22 @@ def _adjust(
     periods: NDArray[np.int64] | None,
     inside: NDArray[np.bool_],
     iterations: int = 12,
+    scale_mps: float | None = None,
 ) -> _Adjusted:
-    """Gauss–Newton over the satellites inside, with codes of given whole periods or without."""
+    """Gauss–Newton over the satellites inside, with codes of given whole periods or without.
+
+    With `scale_mps` rates have that standard deviation, more where they misfit more (Cauchy).
+    """
     rows = np.flatnonzero(inside)
     for _ in range(iterations):
         linear = _linearize(problem, x)
         prior, prior_misfit = _prior_rows(problem, x)
-        blocks = [linear.H_rate[rows] / problem.rate_sigma_mps[rows, np.newaxis], prior]
-        misfits = [
-            (problem.rates_mps - linear.rates_mps)[rows] / problem.rate_sigma_mps[rows],
-            prior_misfit,
-        ]
+        misfit_mps = (problem.rates_mps - linear.rates_mps)[rows]
+        sigma_mps = problem.rate_sigma_mps[rows]
+        if scale_mps is not None:
+            sigma_mps = np.hypot(scale_mps, misfit_mps)
+        blocks = [linear.H_rate[rows] / sigma_mps[:, np.newaxis], prior]
+        misfits = [misfit_mps / sigma_mps, prior_misfit]
         if periods is not None:
             measured_m = problem.codes_m + problem.periods_m * periods
             blocks.insert(0, linear.H_code[rows] / problem.code_sigma_m[rows, np.newaxis])
@@ -386,28 +394,33 @@ def _adjust(
 
 
 def _doppler_fix(problem: _Problem, needed: int) -> tuple[NDArray[np.bool_], FloatArray] | str:
-    """Rough state from Dopplers and prior, and which Dopplers agree; or why there is none."""
+    """Rough state from Dopplers and prior, and which Dopplers agree; or why there is none.
+
+    A wrong peak's Doppler is wrong by up to a km/s and would drag the fix far away; it is found
+    where the linearisation holds, at a fix in which large misfits weigh little.
+    """
     keep = np.ones(len(problem.satellites), bool)
-    starts = _starting_points(problem)
+    x, best = problem.start, np.inf
+    for start in _starting_points(problem):
+        for scale_mps in _ANNEALING_MPS:
+            start = _adjust(problem, start, None, keep, 2, scale_mps).x
+        misfit_mps = problem.rates_mps - _linearize(problem, start).rates_mps
+        loss = float(np.log1p((misfit_mps / _ANNEALING_MPS[-1]) ** 2).sum())
+        if loss < best:
+            x, best = start, loss
+        if loss < 1.0:
+            break
     while True:
-        fits = []
-        for start in starts:
-            fit = _adjust(problem, start, None, keep)
-            fits.append(fit)
-            if fit.cost < np.count_nonzero(keep):
-                break
-        best = min(fits, key=lambda fit: fit.cost)
         rows = np.flatnonzero(keep)
+        fit = _adjust(problem, x, None, keep, 1)
         verdict = check_residuals(
-            best.A, best.b, np.ones(len(best.b)), 1e-6, at_once=2, excludable=len(rows)
+            fit.A, fit.b, np.ones(len(fit.b)), 1e-6, at_once=2, excludable=len(rows)
         )
-        if verdict.passed and not verdict.excluded:
-            return keep, best.x
-        if len(rows) - max(len(verdict.excluded), 1) < needed or not verdict.excluded:
-            return f"Dopplers disagree: chi-square {best.cost:.0f} over {len(rows)} satellites"
-        keep = keep.copy()
+        if not verdict.passed or len(rows) - len(verdict.excluded) < needed:
+            return f"Dopplers disagree: chi-square {fit.cost:.0f} over {len(rows)} satellites"
+        if not verdict.excluded:
+            return keep, _adjust(problem, x, None, keep).x
         keep[rows[list(verdict.excluded)]] = False
-        starts = [best.x, *_starting_points(problem)]
 
 
 def _starting_points(problem: _Problem) -> list[FloatArray]:
@@ -436,7 +449,7 @@ def _starting_points(problem: _Problem) -> list[FloatArray]:
 # --- whole periods -------------------------------------------------------------------------------
 
 
-def _search(problem: _Problem, x: FloatArray) -> list[_Candidate]:
+def _search(problem: _Problem, x: FloatArray, needed: int) -> list[_Candidate]:
     """Best assignments of whole periods, from a linearisation at the Doppler fix.
 
     Breadth-first over the satellites, the strongest first: each candidate is a Kalman filter that
@@ -490,7 +503,7 @@ def _search(problem: _Problem, x: FloatArray) -> list[_Candidate]:
     return [
         _Candidate(mean[n], whole[n], inside[n], float(cost[n] - squares[n]))
         for n in range(min(_FINALISTS, len(cost)))
-        if np.count_nonzero(inside[n]) >= 3
+        if np.count_nonzero(inside[n]) >= needed
     ]
 
 

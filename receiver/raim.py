@@ -87,7 +87,7 @@ def _best_set(
 ) -> tuple[float, tuple[int, ...]]:
     """The set whose removal leaves the least, and what it leaves; () where none can be spared."""
     blocks = Q[sets[:, :, np.newaxis], sets[:, np.newaxis, :]]
-    spare = np.linalg.eigvalsh(blocks)[:, 0] > 1e-6  # otherwise the rest would be singular
+    spare = np.linalg.eigvalsh(blocks)[:, 0] > 1e-10  # otherwise the rest would be singular
     if not spare.any():
         return statistic, ()
     sets, blocks = sets[spare], blocks[spare]
