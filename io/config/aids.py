@@ -5,11 +5,11 @@ from __future__ import annotations
 from importlib.resources import files
 from typing import Annotated, Any, Literal, Self
 
-import yaml
 from pydantic import BeforeValidator, Field, model_validator
 
 from deepgnss.core.records import Oscillator
 from deepgnss.io.config.quantity import ExistingFile, Quantity, Section, Switch, misfit
+from deepgnss.io.config.text import parse_value
 
 Metres = Annotated[float, Quantity(-100.0, 100.0, "m")]
 Degrees = Annotated[float, Quantity(-360.0, 360.0, "deg")]
@@ -159,7 +159,7 @@ def _oscillator_of_name(value: object) -> object:
     if value not in oscillator_names():
         raise misfit(f"expected one of {', '.join(oscillator_names())}, or h-parameters")
     text = (files("deepgnss.configs") / "oscillators" / f"{value}.yaml").read_text("utf-8")
-    return {"name": value} | dict(yaml.safe_load(text))
+    return {"name": value} | dict(parse_value(text, f"{value}.yaml"))
 
 
 NamedOscillator = Annotated[

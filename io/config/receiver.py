@@ -10,8 +10,8 @@ from deepgnss.io.config.quantity import Quantity, Section, Switch, misfit
 
 BIT_MS = 20
 MAX_LOOP_PRODUCT = 0.4
-"""Limit on bandwidth × coherent time. The loops' analogue coefficients, run in discrete steps, put
-a pole outside the unit circle from 0.42 (order 2) and 0.455 (order 3) on."""
+"""Limit on bandwidth × coherent time. A loop with the analogue coefficients is unstable from 0.42
+(order 2) and 0.455 (order 3) on; those of core.loops are not, but have nothing left to settle in."""
 
 _LATER_LOOPS = ("fft", "kalman", "long_update")
 
