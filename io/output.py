@@ -101,15 +101,12 @@ class OutputFile:
         """Finish and give the file its final name."""
         if self._handle.closed:
             return
-        self.flush()
-        self._handle.close()
+        self.abandon()
         with reporting(self.path):
             part_path(self.path).replace(self.path)
 
     def abandon(self) -> None:
         """Stop here: what was written stays readable under its `.part` name."""
-        if self._handle.closed:
-            return
         try:
             self.flush()
         finally:

@@ -332,4 +332,5 @@ def _record(e: Ephemeris, *last: tuple[float, ...]) -> str:
 
 
 def _fields(values: tuple[float, ...]) -> str:
-    return "".join(f"{value:19.12E}" for value in values)
+    # An exponent of three digits would not fit; no broadcast field resolves 1e-99.
+    return "".join(f"{value if abs(value) > 1e-99 else 0.0:19.12E}" for value in values)
