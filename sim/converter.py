@@ -30,19 +30,19 @@ def step_over_sigma(bits: int) -> float:
 
 
 def convert(samples: NDArray[np.float32], sigma: float, front_end: FrontEnd) -> bytes:
-    """Bytes of the file for float samples (n, columns) whose standard deviation is `sigma`."""
+    """Bytes of the file for float samples (rows, n) whose standard deviation is `sigma`."""
     bits = front_end.converter_bits
     if bits == VALUE_BITS["float32"]:
-        return (samples / np.float32(sigma)).astype("<f4").tobytes()
-    out = np.empty(samples.size, dtype=np.int16)
-    _quantize(samples.reshape(-1), np.float32(1.0 / (sigma * step_over_sigma(bits))), bits, out)
+        return (samples.T / np.float32(sigma)).astype("<f4").tobytes()
+    out = np.empty(samples.shape[::-1], dtype=np.int16)
+    _quantize(samples, np.float32(1.0 / (sigma * step_over_sigma(bits))), bits, out)
     if front_end.format == "int16":
         return out.astype("<i2").tobytes()
     if front_end.format == "int8":
         return out.astype(np.int8).tobytes()
     stored = VALUE_BITS[front_end.format]
     packed = np.zeros(-(-out.size * stored // 8), dtype=np.uint8)
-    _pack(out, stored, packed)
+    _pack(out.reshape(-1), stored, packed)
     return packed.tobytes()
 
 
@@ -50,17 +50,19 @@ def convert(samples: NDArray[np.float32], sigma: float, front_end: FrontEnd) -> 
 def _quantize(
     samples: NDArray[np.float32], gain: np.float32, bits: int, out: NDArray[np.int16]
 ) -> None:
-    """Levels of samples (n,) after `gain` (one step = 1)."""
+    """Levels (n, rows) of samples (rows, n) after `gain` (one step = 1)."""
     top = np.float32(2 ** (bits - 1) - 1)
-    if bits <= 4:
-        for n in range(samples.size):
-            step = np.floor(samples[n] * gain)
-            step = min(max(step, -top - np.float32(1.0)), top)
-            out[n] = 2 * np.int16(step) + 1
-    else:
-        for n in range(samples.size):
-            step = np.floor(samples[n] * gain + np.float32(0.5))
-            out[n] = np.int16(min(max(step, -top), top))
+    for row in range(samples.shape[0]):
+        source = samples[row]
+        if bits <= _ODD_LEVELS_TO:
+            for n in range(source.size):
+                step = np.floor(source[n] * gain)
+                step = min(max(step, -top - np.float32(1.0)), top)
+                out[n, row] = 2 * np.int16(step) + 1
+        else:
+            for n in range(source.size):
+                step = np.floor(source[n] * gain + np.float32(0.5))
+                out[n, row] = np.int16(min(max(step, -top), top))
 
 
 @kernel

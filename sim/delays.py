@@ -22,6 +22,7 @@ from deepgnss.core.records import FloatArray
 from deepgnss.sim.atmosphere import ionosphere_m, troposphere_m
 from deepgnss.sim.orbits import Orbit, Travel, orbit_of, travel
 from deepgnss.sim.scenario import Emitter, ReceiverClock, Scenario
+from deepgnss.sim.trajectory import Trajectory
 
 NODES_PER_SECOND: Final = 1000
 _MARGIN_S: Final = 2  # seconds of clock noise known before the start and after the end
@@ -55,7 +56,7 @@ def receive(scenario: Scenario, emitter: Emitter, orbit: Orbit, t_s: FloatArray)
     r_e_m = scenario.trajectory.at(t_s).r_m
     path = travel(orbit, t_s, r_e_m)
     lat, lon, height = pymap3d.ecef2geodetic(*r_e_m.T, deg=False)
-    azimuth, elevation = _look(scenario, path, r_e_m)
+    azimuth, elevation = look(scenario.trajectory, path, r_e_m)
     carrier_hz = emitter.signal.id.carrier_hz
     nothing = np.zeros(t_s.size)
     iono = tropo = nothing
@@ -79,9 +80,8 @@ def receive(scenario: Scenario, emitter: Emitter, orbit: Orbit, t_s: FloatArray)
     )
 
 
-def _look(scenario: Scenario, path: Travel, r_e_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def look(place: Trajectory, path: Travel, r_e_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Azimuth in [0, 2π) and elevation, rad, in the local frame of the trajectory's origin."""
-    place = scenario.trajectory
     los = (path.satellite_e_m - r_e_m) @ C_ne(place.latitude_rad, place.longitude_rad).T
     azimuth = np.mod(np.arctan2(los[:, 1], los[:, 0]), 2.0 * np.pi)
     return azimuth, np.arctan2(-los[:, 2], np.hypot(los[:, 0], los[:, 1]))

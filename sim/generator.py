@@ -36,7 +36,7 @@ Samples = NDArray[np.float32]
 
 
 def sample_source(scenario: Scenario) -> Callable[[int, int], Samples]:
-    """Function (first, count) → samples before the converter, (count, 2) as I, Q or (count, 1).
+    """Function (first, count) → samples before the converter, (2, count) as I, Q or (1, count).
 
     It may be called from several threads.
     """
@@ -45,13 +45,13 @@ def sample_source(scenario: Scenario) -> Callable[[int, int], Samples]:
     symbols = [_symbols(scenario, emitter) for emitter in scenario.emitters]
     taps = low_pass(front_end)
     margin = 0 if taps is None else taps.size // 2
-    columns = 2 if front_end.is_complex else 1
+    rows = 2 if front_end.is_complex else 1
 
     def unfiltered(first: int, count: int) -> Samples:
         if scenario.noise:
-            samples = _noise(scenario.seed, first, count, columns)
+            samples = _noise(scenario.seed, first, count, rows)
         else:
-            samples = np.zeros((count, columns), dtype=np.float32)
+            samples = np.zeros((rows, count), dtype=np.float32)
         samples_per_ms = front_end.sample_rate_hz / 1000.0
         first_ms = math.floor(first / samples_per_ms)
         end_ms = math.ceil((first + count) / samples_per_ms) + 1
@@ -64,7 +64,7 @@ def sample_source(scenario: Scenario) -> Callable[[int, int], Samples]:
     def filtered(first: int, count: int) -> Samples:
         if taps is None:
             return unfiltered(first, count)
-        out = np.empty((count, columns), dtype=np.float32)
+        out = np.empty((rows, count), dtype=np.float32)
         filter_centred(unfiltered(first - margin, count + 2 * margin), taps, out)
         return out
 
@@ -127,15 +127,16 @@ def low_pass(front_end: FrontEnd) -> NDArray[np.float32] | None:
     return np.asarray(taps, dtype=np.float32)
 
 
-def _noise(seed: int, first: int, count: int, columns: int) -> Samples:
+def _noise(seed: int, first: int, count: int, rows: int) -> Samples:
     """White Gaussian samples [first, first + count) of variance 1; first ≥ −NOISE_BLOCK."""
     low, high = first // NOISE_BLOCK, -(-(first + count) // NOISE_BLOCK)
-    drawn = np.empty((high - low, NOISE_BLOCK, columns), dtype=np.float32)
-    for block, out in zip(range(low, high), drawn, strict=True):
-        key = np.random.Philox(key=[seed, block + 1])
-        np.random.Generator(key).standard_normal(dtype=np.float32, out=out)
+    drawn = np.empty((rows, high - low, NOISE_BLOCK), dtype=np.float32)
+    for block in range(low, high):
+        random = np.random.Generator(np.random.Philox(key=[seed, block + 1]))
+        for row in range(rows):
+            random.standard_normal(dtype=np.float32, out=drawn[row, block - low])
     start = first - low * NOISE_BLOCK
-    return drawn.reshape(-1, columns)[start : start + count]
+    return drawn.reshape(rows, -1)[:, start : start + count]
 
 
 def _symbols(scenario: Scenario, emitter: Emitter) -> Symbols:

@@ -13,8 +13,8 @@ from deepgnss.core.errors import ConfigError
 from deepgnss.core.records import GPS_L1CA, NavData
 from deepgnss.core.time import GpsTime
 from deepgnss.sim.constellation import nominal_gps
-from deepgnss.sim.delays import receive
-from deepgnss.sim.orbits import orbit_of
+from deepgnss.sim.delays import look
+from deepgnss.sim.orbits import orbit_of, travel
 from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario
 from deepgnss.sim.trajectory import Ellipse, Path, Static, Trajectory, smooth_profile
 
@@ -106,31 +106,31 @@ def _scenario(
 ) -> Scenario:
     """The highest satellites over the common place, C/N0 by elevation."""
     nav = nominal_gps(_START, seconds)
-    bare = Scenario(name, _START, seconds, Trajectory(*_PLACE, path), (), nav, front_end, clock)
-    seen = elevations(replace(bare, emitters=every_satellite(nav)))
+    trajectory = Trajectory(*_PLACE, path)
+    seen = elevations(nav, _START, trajectory)
     highest = sorted(seen, key=lambda satellite: -seen[satellite])[:satellites]
     visible = sorted(satellite for satellite in highest if seen[satellite] > _MASK_RAD)
-    emitters = tuple(Emitter(sat, ((0.0, cn0_dbhz(seen[sat])),)) for sat in visible)
-    return replace(bare, emitters=emitters, seed=seed)
+    return Scenario(
+        name=name,
+        start=_START,
+        seconds=seconds,
+        trajectory=trajectory,
+        emitters=tuple(Emitter(sat, ((0.0, cn0_dbhz(seen[sat])),)) for sat in visible),
+        nav=nav,
+        front_end=front_end,
+        clock=clock,
+        seed=seed,
+    )
 
 
-def every_satellite(nav: NavData, cn0_dbhz: float = 45.0) -> tuple[Emitter, ...]:
-    """An emitter for every GPS satellite there is an ephemeris of."""
-    system = GPS_L1CA.system
-    return tuple(Emitter(name, ((0.0, cn0_dbhz),)) for name in nav.ephemerides if name[0] == system)
-
-
-def elevations(scenario: Scenario) -> dict[str, float]:
-    """Elevation of each emitter at the start, rad."""
+def elevations(nav: NavData, start: GpsTime, trajectory: Trajectory) -> dict[str, float]:
+    """Elevation of every GPS satellite of `nav` at the start, rad."""
     at_start = np.zeros(1)
-    return {
-        emitter.satellite: float(
-            receive(
-                scenario,
-                emitter,
-                orbit_of(scenario.orbit_set(emitter.satellite), scenario.start),
-                at_start,
-            ).elevation_rad[0]
-        )
-        for emitter in scenario.emitters
-    }
+    r_e_m = trajectory.at(at_start).r_m
+    seen = {}
+    for satellite, sets in nav.ephemerides.items():
+        if satellite[0] == GPS_L1CA.system:
+            nearest = min(sets, key=lambda e: abs(e.toe.since(start)))
+            path = travel(orbit_of(nearest, start), at_start, r_e_m)
+            seen[satellite] = float(look(trajectory, path, r_e_m)[1][0])
+    return seen

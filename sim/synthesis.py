@@ -17,6 +17,7 @@ from deepgnss.core.jit import kernel
 from deepgnss.core.records import FloatArray
 
 _RUN: Final = 32
+_MIDDLE: Final = (_RUN - 1) / 2.0
 _TWO_PI: Final = 2.0 * math.pi
 
 
@@ -37,15 +38,16 @@ def add_signal(
 ) -> None:
     """Add one emitter to samples [first, first + n) of the recording.
 
-    samples: (n, 2) as I, Q, or (n, 1) real. carrier_cycles, code_chips: (milliseconds, 4) cubics
+    samples: (2, n) as I and Q, or (1, n) real. carrier_cycles, code_chips: (milliseconds, 4) cubics
     in u in [0, 1) from millisecond `first_ms` on, the code's relative to the whole chip number
     chip_base (milliseconds,) since the signal's time zero. amplitude: (milliseconds,). symbols:
     ±1, the first of number `first_symbol` since the signal's time zero.
     """
     chips = np.empty(0, dtype=np.float32)
     cosine, sine = np.empty(_RUN, dtype=np.float32), np.empty(_RUN, dtype=np.float32)
-    end = first + samples.shape[0]
-    is_complex = samples.shape[1] == 2
+    picked, scratch = np.empty(_RUN, dtype=np.float32), np.empty(_RUN, dtype=np.float32)
+    end = first + samples.shape[1]
+    step = 1.0 / samples_per_ms
     for k in range(carrier_cycles.shape[0]):
         start = math.ceil((first_ms + k) * samples_per_ms)
         stop = math.ceil((first_ms + k + 1) * samples_per_ms)
@@ -53,36 +55,49 @@ def add_signal(
             continue
         c0, c1, c2, c3 = carrier_cycles[k]
         b0, b1, b2, b3 = code_chips[k]
-        needed = int(b0 + b1 + b2 + b3) + 4
+        needed = int(b0 + b1 + b2 + b3 + _RUN * b1 * step) + 4
         if chips.size < needed:
             chips = np.empty(needed, dtype=np.float32)
         _unroll(chips, chip_base[k] - 1, code, symbols, first_symbol, chips_per_symbol)
-        step = 1.0 / samples_per_ms
         turn = (c1 + c2 + 0.75 * c3) * step * _TWO_PI  # per sample, mid-millisecond
         for j in range(_RUN):
-            angle = turn * (j - 0.5 * (_RUN - 1))
+            angle = turn * (j - _MIDDLE)
             cosine[j], sine[j] = math.cos(angle), math.sin(angle)
         for run in range(start, stop, _RUN):
             if run + _RUN <= first or run >= end:
                 continue
-            u = (run + 0.5 * (_RUN - 1)) * step - (first_ms + k)
+            u = (run + _MIDDLE) * step - (first_ms + k)
             cycles = c0 + u * (c1 + u * (c2 + u * c3))
             angle = (cycles - math.floor(cycles)) * _TWO_PI
             real = np.float32(amplitude[k] * math.cos(angle))
             imaginary = np.float32(amplitude[k] * math.sin(angle))
             rate = (b1 + u * (2.0 * b2 + 3.0 * u * b3)) * step
-            chip = 1.0 + b0 + u * (b1 + u * (b2 + u * b3)) - rate * (0.5 * (_RUN - 1))
-            low, high = max(first - run, 0), min(min(stop, end) - run, _RUN)
-            at = run - first
-            if is_complex:
-                for j in range(low, high):
-                    c = chips[int(chip + rate * j)]
-                    samples[at + j, 0] += c * (real * cosine[j] - imaginary * sine[j])
-                    samples[at + j, 1] += c * (real * sine[j] + imaginary * cosine[j])
-            else:
-                for j in range(low, high):
-                    c = chips[int(chip + rate * j)]
-                    samples[at + j, 0] += c * (real * cosine[j] - imaginary * sine[j])
+            chip = 1.0 + b0 + u * (b1 + u * (b2 + u * b3)) - rate * _MIDDLE
+            low, high = max(first, run), min(stop, end, run + _RUN)
+            for j in range(_RUN):
+                picked[j] = chips[np.int32(chip + rate * j)]
+            for row in range(samples.shape[0]):
+                a, b = (real, imaginary) if row == 0 else (imaginary, -real)
+                if high - low == _RUN:
+                    _add_run(samples[row, low - first : high - first], picked, a, b, cosine, sine)
+                else:  # a run cut by the end of the millisecond or of the samples asked for
+                    scratch[:] = 0.0
+                    _add_run(scratch, picked, a, b, cosine, sine)
+                    samples[row, low - first : high - first] += scratch[low - run : high - run]
+
+
+@kernel
+def _add_run(
+    out: NDArray[np.float32],
+    picked: NDArray[np.float32],
+    a: np.float32,
+    b: np.float32,
+    cosine: NDArray[np.float32],
+    sine: NDArray[np.float32],
+) -> None:
+    """Add a run of chips on a carrier: out += picked·(a·cosine − b·sine)."""
+    for j in range(_RUN):
+        out[j] += picked[j] * (a * cosine[j] - b * sine[j])
 
 
 @kernel
@@ -115,10 +130,11 @@ def _unroll(
 def filter_centred(
     samples: NDArray[np.float32], taps: NDArray[np.float32], out: NDArray[np.float32]
 ) -> None:
-    """out[n] = Σ taps[j]·samples[n + j], columns apart; samples longer by taps.size − 1."""
-    for n in range(out.shape[0]):
-        for column in range(out.shape[1]):
-            total = np.float32(0.0)
-            for j in range(taps.size):
-                total += taps[j] * samples[n + j, column]
-            out[n, column] = total
+    """out[:, n] = Σ taps[j]·samples[:, n + j]; samples longer by taps.size − 1."""
+    for row in range(out.shape[0]):
+        source, target = samples[row], out[row]
+        target[:] = 0.0
+        for j in range(taps.size):
+            tap = taps[j]
+            for n in range(target.size):
+                target[n] += tap * source[n + j]
