@@ -11,7 +11,7 @@ from deepgnss.io.config.quantity import Quantity, Section, Switch, misfit
 BIT_MS = 20
 MAX_LOOP_PRODUCT = 0.4
 """Limit on bandwidth × coherent time. A loop with the analogue coefficients is unstable from 0.42
-(order 2) and 0.455 (order 3) on; those of core.loops are not, but have nothing left to settle in."""
+(order 2) and 0.455 (order 3) on; those of core.loops would bear more."""
 
 _LATER_LOOPS = ("fft", "kalman", "long_update")
 
@@ -29,8 +29,8 @@ def _check_coherent(coherent_s: float) -> None:
 def _check_product(bandwidth_hz: float, coherent_s: float) -> None:
     if bandwidth_hz * coherent_s > MAX_LOOP_PRODUCT:
         raise misfit(
-            f"expected bandwidth × coherent of at most {MAX_LOOP_PRODUCT:g} for a stable loop: "
-            f"{MAX_LOOP_PRODUCT / coherent_s:g} Hz with coherent {coherent_s:g} s",
+            f"expected at most {MAX_LOOP_PRODUCT / coherent_s:g} Hz with coherent {coherent_s:g} s "
+            f"(bandwidth × coherent up to {MAX_LOOP_PRODUCT:g})",
             "bandwidth",
         )
 
