@@ -168,21 +168,24 @@ def long_name(
     return "_".join(parts) + ".rnx"
 
 
+# Units of a file name with the count from which the next one is used.
+_PERIODS = (("M", 60.0, 60), ("H", 3600.0, 24), ("D", 86_400.0, 100))
+_INTERVALS = (("S", 1.0, 60), *_PERIODS)
+_RATES = (("Z", 1.0, 100), ("C", 100.0, 100))  # Hz, hundreds of Hz
+
+
 def _period(seconds: float) -> str:
-    for unit, length_s in (("M", 60), ("H", 3600), ("D", 86_400)):
+    for unit, length_s, limit in _PERIODS:
         count = max(1, math.ceil(seconds / length_s))
-        if count < 100:
+        if count < limit:
             return f"{count:02d}{unit}"
     return "00U"
 
 
 def _rate(interval_s: float) -> str:
-    for unit, length_s in (("S", 1), ("M", 60), ("H", 3600), ("D", 86_400)):
-        count = interval_s / length_s
-        if round(count) >= 1 and math.isclose(count, round(count)) and round(count) < 100:
-            return f"{round(count):02d}{unit}"
-    for unit, times in (("Z", 1), ("C", 100)):
-        rate = 1.0 / interval_s / times
-        if round(rate) >= 1 and math.isclose(rate, round(rate)) and round(rate) < 100:
-            return f"{round(rate):02d}{unit}"
+    for quantity, units in ((interval_s, _INTERVALS), (1.0 / interval_s, _RATES)):
+        for unit, size, limit in units:
+            count = round(quantity / size)
+            if 1 <= count < limit and math.isclose(count * size, quantity):
+                return f"{count:02d}{unit}"
     return "00U"

@@ -304,16 +304,8 @@ def _fixed_point(path: Path, characters: _Bytes, lines: _Indices) -> FloatArray:
     powers[point] = 0
     magnitude = np.where(is_digit, digits, 0) @ powers / 10**_DECIMALS
     values: FloatArray = np.where(minus.any(axis=1), -magnitude, magnitude)
-    for k in np.flatnonzero(~regular & ~blank):
-        values[k] = _odd_field(path, characters[k].tobytes().decode("latin-1"), int(lines[k]))
+    for k in np.flatnonzero(~regular & ~blank)[:1]:
+        text = characters[k].tobytes().decode("latin-1")
+        raise InputFileError(f"{path}: line {lines[k] + 1}: '{text}' is not a number in F14.3")
     values[blank] = np.nan
     return values
-
-
-def _odd_field(path: Path, field: str, line: int) -> float:
-    try:
-        return float(field)
-    except ValueError:
-        raise InputFileError(
-            f"{path}: line {line + 1}: '{field.strip()}' is not a number"
-        ) from None
