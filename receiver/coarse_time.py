@@ -44,6 +44,7 @@ _UNIT: Final = np.array([1e4, 1e4, 1e4, 1e4, 1.0, 1.0, 1.0, 1.0, 10.0])  # of th
 
 _BIAS_SIGMA_M: Final = 1e6  # larger than any bias within one period
 _ANYWHERE_M: Final = 1e7
+_NEARBY_M: Final = 5e3  # a prior that by itself tells right whole periods from wrong ones
 _ANNEALING_MPS: Final = (1000.0, 300.0, 100.0, 30.0)
 _BEAM: Final = 400  # candidates kept during the search
 _HOPELESS: Final = 60.0  # cost over the best at which a candidate is dropped
@@ -200,8 +201,11 @@ def solve(
     rejected |= {
         problem.satellites[row]: "code phase does not fit" for row in np.flatnonzero(~inside)
     }
+    near = rough.r_e_m is not None and rough.position_sigma_m <= _NEARBY_M
+    if not near and any("not fit" in reason for reason in rejected.values()):
+        needed += 1  # without redundancy nothing tells that the right ones were left out
     if len(rows) < needed:
-        return _failed(rough, f"only {len(rows)} code phases fit, {needed} needed", rejected)
+        return _failed(rough, f"only {len(rows)} satellites fit, {needed} needed", rejected)
     if not verdict.passed:
         return _failed(
             rough,
@@ -414,7 +418,7 @@ def _doppler_fix(problem: _Problem, needed: int) -> tuple[NDArray[np.bool_], Flo
         rows = np.flatnonzero(keep)
         fit = _adjust(problem, x, None, keep, 1)
         verdict = check_residuals(
-            fit.A, fit.b, np.ones(len(fit.b)), 1e-6, at_once=2, excludable=len(rows)
+            fit.A, fit.b, np.ones(len(fit.b)), 1e-6, at_once=3, excludable=len(rows)
         )
         if not verdict.passed or len(rows) - len(verdict.excluded) < needed:
             return f"Dopplers disagree: chi-square {fit.cost:.0f} over {len(rows)} satellites"
