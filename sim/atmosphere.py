@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import GPS_L1CA, FloatArray, Klobuchar
 
-_NIGHT_S = 5.0e-9
-_HOUR_OF_PEAK_S = 50_400.0  # 14 h local time
+_NIGHT_S: Final = 5.0e-9
+_PEAK_S: Final = 50_400.0  # 14 h local time
+
+# Heights, m, and coefficient of tan² z, hPa (Saastamoinen 1973, table).
+_BEND: Final = (
+    (0.0, 500.0, 1000.0, 1500.0, 2000.0, 2500.0, 3000.0, 4000.0, 5000.0),
+    (1.156, 1.079, 1.006, 0.938, 0.874, 0.813, 0.757, 0.654, 0.563),
+)
 
 
 def ionosphere_m(
@@ -32,7 +40,7 @@ def ionosphere_m(
     local_s = np.mod(43_200.0 * pierce_lon + tow_s, 86_400.0)
     amplitude = np.maximum(np.polynomial.polynomial.polyval(magnetic_lat, model.alpha), 0.0)
     period = np.maximum(np.polynomial.polynomial.polyval(magnetic_lat, model.beta), 72_000.0)
-    x = 2.0 * np.pi * (local_s - _HOUR_OF_PEAK_S) / period
+    x = 2.0 * np.pi * (local_s - _PEAK_S) / period
     day = np.where(np.abs(x) < 1.57, amplitude * (1.0 - x**2 / 2.0 + x**4 / 24.0), 0.0)
     slant = 1.0 + 16.0 * (0.53 - elevation) ** 3
     at_l1_m = slant * (_NIGHT_S + day) * SPEED_OF_LIGHT_MPS
@@ -42,13 +50,15 @@ def ionosphere_m(
 def troposphere_m(
     latitude_rad: FloatArray, height_m: FloatArray, elevation_rad: FloatArray
 ) -> FloatArray:
-    """Saastamoinen's delay in the standard atmosphere (15 °C, 50 % humidity at sea level), m."""
+    """Saastamoinen's delay in the standard atmosphere (15 °C, 50 % humidity at sea level), m.
+
+    With the term in tan² z that bends it below 1 / cos z (Saastamoinen 1973): good from 5° up.
+    """
     height = np.maximum(height_m, 0.0)
-    pressure_hpa = 1013.25 * (1.0 - 2.2557e-5 * height) ** 5.2568
     temperature_k = 288.15 - 6.5e-3 * height
+    pressure_hpa = 1013.25 * (temperature_k / 288.15) ** 5.2559
     vapour_hpa = 0.5 * 6.108 * np.exp((17.15 * temperature_k - 4684.0) / (temperature_k - 38.45))
-    gravity = 1.0 - 0.00266 * np.cos(2.0 * latitude_rad) - 0.00028e-3 * height
-    cos_zenith = np.sin(elevation_rad)
-    dry = 0.0022768 * pressure_hpa / gravity
-    wet = 0.002277 * (1255.0 / temperature_k + 0.05) * vapour_hpa
-    return np.asarray((dry + wet) / cos_zenith)
+    gravity = 1.0 - 0.00266 * np.cos(2.0 * latitude_rad) - 0.28e-6 * height
+    bend_hpa = np.interp(height, *_BEND) / np.tan(elevation_rad) ** 2
+    effective_hpa = pressure_hpa + (1255.0 / temperature_k + 0.05) * vapour_hpa - bend_hpa
+    return np.asarray(0.0022768 / gravity * effective_hpa / np.sin(elevation_rad))

@@ -42,6 +42,11 @@ class FrontEnd:
             raise ConfigError(f"bits: {self.bits} does not fit {self.format}")
         if not 1.0e6 <= self.sample_rate_hz <= 1.0e9:
             raise ConfigError(f"sample_rate: {self.sample_rate_hz:g} Hz is not within 1e6 to 1e9")
+        if not self.is_complex and not 0.0 < self.intermediate_hz < self.sample_rate_hz / 2.0:
+            raise ConfigError(
+                f"intermediate_frequency: {self.intermediate_hz:g} Hz of real samples is not"
+                f" within 0 to {self.sample_rate_hz / 2.0:g} Hz, half the sampling rate"
+            )
         if self.filter_taps % 2 == 0 or not 3 <= self.filter_taps <= 1023:
             raise ConfigError(f"filter_taps: {self.filter_taps} is not an odd number of 3 to 1023")
         if self.bandwidth_hz is not None and not 0.0 < self.bandwidth_hz < self.usable_hz:
@@ -88,6 +93,12 @@ class Emitter:
     satellite: str  # "G05"
     cn0_dbhz: tuple[tuple[float, float], ...]
     signal: Signal = GPS_L1CA_SIGNAL
+
+    def __post_init__(self) -> None:
+        """Refuse a schedule that leaves a second without a value."""
+        starts = [second for second, _ in self.cn0_dbhz]
+        if starts[:1] != [0.0] or starts != sorted(set(starts)):
+            raise ConfigError(f"{self.satellite}: cn0: expected rising seconds that start at 0")
 
     @property
     def prn(self) -> int:
