@@ -1,0 +1,301 @@
+"""The grid of the parallel code search: Doppler rows × cells of a code period.
+
+Samples are resampled to about four per chip from the running sum, so that the cost does not
+depend on the sampling rate, and cut into code periods whose spectra serve all satellites. A
+Doppler row is their phase-aligned sum over one coherent block: whole kHz by shifting the spectra,
+half a kHz by a rotated second set, the rest by the phase from period to period (the slow-time
+transform, taken before the inverse FFT because both are linear: once for all satellites). Rows of
+several blocks are aligned for code Doppler and add up in power.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import scipy.fft
+import scipy.special
+from numpy.typing import NDArray
+
+from deepgnss.core.jit import kernel
+from deepgnss.core.records import FloatArray, RunningSums
+from deepgnss.receiver.baseband import resample
+from deepgnss.receiver.signals import SIGNALS, Signal
+
+Complex64Array = NDArray[np.complex64]
+
+_CELLS_PER_CHIP = 4
+_NOISE_CELLS = 2**15  # cells whose median gives the noise floor
+# Neighbouring cells of the grid (quarter chip, half a Doppler bin) share noise: as far as high
+# maxima go, this share of them counts as independent (measured; the tests hold it).
+_INDEPENDENT_SHARE = 0.6
+_LINE_STRETCH = 64  # cells of spectrum a carrier is compared with
+_LINE_CHANCE = 1e-4  # share of the spectrum given up where there is none
+_LEAK_PEAK = 6.0  # highest cell over mean of a C/A cross-correlation row (−22 against −30 dB)
+
+
+class SearchWindow(NamedTuple):
+    """Where a satellite is predicted: centre and half width of Doppler and code phase."""
+
+    doppler_hz: float
+    doppler_half_hz: float
+    code_chips: float  # at the first sample of the search
+    code_half_chips: float
+
+
+class Peak(NamedTuple):
+    """Highest cell of a search; powers are sums over all blocks."""
+
+    doppler_hz: float
+    cell: int
+    ratio: float  # power over noise, less what interference in its row may have added
+    noise: float  # mean power of a cell without signal
+    cells: int  # searched
+
+
+# --- spectra shared by all satellites ------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Periods:
+    """The samples of a search, cut into code periods of `cells` each.
+
+    samples: (periods, cells); spectra: (2, periods, cells), the second after mixing by half a bin.
+    """
+
+    signal: Signal
+    first: int
+    half_sample_chips: float
+    mirror_hz: float | None  # frequency about which the spectrum mirrors itself, if it does
+    samples: Complex64Array
+    spectra: Complex64Array
+
+    @property
+    def cells(self) -> int:
+        """Cells of a code period."""
+        return int(self.samples.shape[1])
+
+    @property
+    def cells_per_hz_s(self) -> float:
+        """Code drift per Hz of Doppler and second, cells."""
+        return self.cells / (self.signal.id.code_chips * self.signal.carrier_to_code)
+
+
+def period_cells(signal: Signal) -> int:
+    """Cells of a code period: about four per chip, and quick to transform."""
+    cells: int = scipy.fft.next_fast_len(_CELLS_PER_CHIP * signal.id.code_chips)
+    return cells
+
+
+def cut(sums: RunningSums, first: int, signal: Signal, periods: int) -> Periods:
+    """The samples of `periods` code periods from sample `first` on, carriers taken out.
+
+    Raises ValueError when the sums do not cover them.
+    """
+    cells = period_cells(signal)
+    rate_hz = cells / signal.period_s
+    entries_per_cell = sums.sample_rate_hz / (rate_hz * sums.step)
+    start = (first - sums.first) / sums.step
+    there = int((sums.packed.size - 2 - start) / entries_per_cell)
+    lacking = periods * cells - there
+    # The last few cells of a recording may lack the entry behind them: they count as zero.
+    if start < 0 or lacking > _CELLS_PER_CHIP:
+        raise ValueError(
+            f"search of {periods} code periods from sample {first} on exceeds the samples at hand "
+            f"({sums.first} to {sums.first + (sums.packed.size - 1) * sums.step})"
+        )
+    flat = np.zeros(periods * cells, dtype=np.complex64)
+    count = min(there, flat.size)
+    flat[:count] = resample(sums, first, rate_hz, count)
+    spectra = scipy.fft.fft(flat.reshape(periods, cells))
+    spectra *= _line_weights(spectra)
+    samples = np.asarray(scipy.fft.ifft(spectra))
+    half_bin = np.exp(-1j * np.pi * np.arange(cells) / cells).astype(np.complex64)
+    spectra = np.stack([spectra, scipy.fft.fft(samples * half_bin)])
+    half_sample_chips = 0.5 * signal.id.chip_rate_hz / sums.sample_rate_hz
+    mirror_hz = _mirror_hz(samples.ravel(), rate_hz)
+    return Periods(signal, first, half_sample_chips, mirror_hz, samples, spectra)
+
+
+def _mirror_hz(samples: Complex64Array, rate_hz: float) -> float | None:
+    """Where real samples at (nearly) zero IF have their zero: noise is not circular there."""
+    squares = samples * samples
+    lag = 64
+    product = complex(np.vdot(squares[:-lag], squares[lag:])) / samples.size
+    level = float(np.vdot(samples, samples).real) / samples.size
+    if abs(product) < 0.25 * level**2:
+        return None
+    return float(np.angle(product)) * rate_hz / (4.0 * np.pi * lag)
+
+
+def _line_weights(spectra: Complex64Array) -> NDArray[np.float32]:
+    """Weights over frequency that take out carriers: DC offset, spurs of the receiver, jammers.
+
+    Lines stand far above the noise around them once all periods are summed; satellites do not.
+    """
+    periods, cells = spectra.shape
+    power = (spectra.real**2 + spectra.imag**2).sum(axis=0)
+    stretches = cells // _LINE_STRETCH
+    levels = np.median(power[: stretches * _LINE_STRETCH].reshape(stretches, -1), axis=1)
+    levels *= periods / scipy.special.gammaincinv(periods, 0.5)
+    centres = (np.arange(stretches) + 0.5) * _LINE_STRETCH
+    floor = np.interp(np.arange(cells), centres, levels, period=cells)
+    limit = scipy.special.gammainccinv(periods, _LINE_CHANCE) / periods
+    weights = np.where(power > limit * floor, floor / power, 1.0)
+    return weights.astype(np.float32)
+
+
+@cache
+def replica_cells(signal_name: str, prn: int, cells: int) -> FloatArray:
+    """One code period in cells, each the mean of the chips it covers."""
+    code = SIGNALS[signal_name].primary_code(prn).astype(np.float64)
+    integral = np.concatenate([[0.0], np.cumsum(code)])
+    edges = np.linspace(0.0, code.size, cells + 1)
+    replica: FloatArray = np.diff(np.interp(edges, np.arange(code.size + 1), integral))
+    replica *= cells / code.size
+    replica.flags.writeable = False
+    return replica
+
+
+@cache
+def code_spectrum(signal_name: str, prn: int, cells: int) -> Complex64Array:
+    """Conjugate spectrum of the replica.
+
+    The forward FFT of a data spectrum times this has the correlation at code phase s in cell s.
+    """
+    spectrum = np.conj(scipy.fft.fft(replica_cells(signal_name, prn, cells))).astype(np.complex64)
+    spectrum.flags.writeable = False
+    return spectrum
+
+
+def doppler_rows(
+    periods: Periods, dopplers_hz: FloatArray, coherent: int
+) -> Iterator[tuple[FloatArray, Complex64Array]]:
+    """Spectra of coherent blocks, (blocks, rows, cells), one group of Dopplers after another."""
+    period_s = periods.signal.period_s
+    blocks = periods.samples.shape[0] // coherent
+    wavenumber = scipy.fft.fftfreq(periods.cells)
+    half_bins = np.rint(2.0 * period_s * dopplers_hz).astype(np.int64)
+    within = np.arange(coherent) * period_s
+    middles = (np.arange(blocks) + 0.5) * coherent * period_s
+    for half_bin in np.unique(half_bins):
+        group = dopplers_hz[half_bins == half_bin]
+        shift, half = divmod(int(half_bin), 2)
+        source = periods.spectra[half].reshape(blocks, coherent, periods.cells)
+        weights = np.exp(-2j * np.pi * group[:, np.newaxis] * within).astype(np.complex64)
+        rows = np.roll(weights @ source, -shift, axis=2)
+        # Where the code stands in the middle of each block, against that at the start.
+        drift = middles * (0.5 * half_bin / period_s) * periods.cells_per_hz_s
+        rows *= np.exp(-2j * np.pi * drift[:, np.newaxis] * wavenumber).astype(np.complex64)[
+            :, np.newaxis
+        ]
+        yield group, rows
+
+
+# --- the grid ------------------------------------------------------------------------------------
+
+
+@kernel
+def sum_power(correlations: Complex64Array, power: NDArray[np.float32], totals: FloatArray) -> None:
+    """Power of (blocks, rows, cells) summed over blocks into (rows, cells), and over cells."""
+    blocks, rows, cells = correlations.shape
+    for row in range(rows):
+        for cell in range(cells):
+            value = correlations[0, row, cell]
+            power[row, cell] = value.real * value.real + value.imag * value.imag
+        for block in range(1, blocks):
+            for cell in range(cells):
+                value = correlations[block, row, cell]
+                power[row, cell] += value.real * value.real + value.imag * value.imag
+        total = 0.0
+        for cell in range(cells):
+            total += power[row, cell]
+        totals[row] = total
+
+
+class GridSearch:
+    """Highest cells and noise of one satellite's Doppler rows while they pass by."""
+
+    def __init__(
+        self,
+        periods: Periods,
+        prn: int,
+        rows: int,
+        coherent_s: float,
+        window: SearchWindow | None,
+    ) -> None:
+        self.prn = prn
+        self._circular_hz = 0.6 / coherent_s
+        self._code = code_spectrum(periods.signal.id.name, prn, periods.cells)
+        self._stride = max(1, rows * periods.cells // _NOISE_CELLS) | 1
+        self._noise: list[NDArray[np.float32]] = []
+        self._allowed = np.arange(periods.cells)
+        if window is not None:
+            per_chip = periods.cells / periods.signal.id.code_chips
+            centre = round((window.code_chips - periods.half_sample_chips) * per_chip)
+            half = min(int(window.code_half_chips * per_chip) + 1, (periods.cells - 1) // 2)
+            self._allowed = (centre + np.arange(-half, half + 1)) % periods.cells
+        self._dopplers_hz: list[FloatArray] = []
+        self._cells: list[NDArray[np.int64]] = []
+        self._mirror_hz = periods.mirror_hz
+        self._highest: list[NDArray[np.float32]] = []  # within the window
+        self._means: list[FloatArray] = []  # of whole rows, without the share of their peak
+        # A peak's triangle and side lobes, as cells of its height (Parseval of |code|²).
+        spectrum = np.abs(self._code.astype(np.complex128)) ** 2
+        self._own = spectrum.size * (spectrum**2).sum() / spectrum.sum() ** 2
+
+    def add(self, dopplers_hz: FloatArray, rows: Complex64Array) -> None:
+        """Search one group of Doppler rows."""
+        correlations = scipy.fft.fft(rows * self._code, overwrite_x=True)
+        power = np.empty((dopplers_hz.size, rows.shape[2]), dtype=np.float32)
+        totals = np.empty(dopplers_hz.size)
+        sum_power(correlations, power, totals)
+        self._noise.append(power.reshape(-1)[:: self._stride].copy())
+        searched = power
+        if self._allowed.size < power.shape[1]:
+            searched = np.ascontiguousarray(power[:, self._allowed])
+        columns = searched.argmax(axis=1)
+        self._dopplers_hz.append(dopplers_hz)
+        self._cells.append(self._allowed[columns])
+        self._highest.append(searched[np.arange(columns.size), columns])
+        whole = rows.shape[2]
+        self._means.append((totals - self._own * power.max(axis=1)) / (whole - self._own))
+
+    def peak(self, blocks: int) -> Peak:
+        """The highest cell against the noise floor, which is the median of all cells.
+
+        Carriers, and signals with like codes at the same Doppler modulo 1 kHz, known or not,
+        raise the mean of a whole row: what they may add to a single cell is taken off first.
+        """
+        median = float(np.median(np.concatenate(self._noise)))
+        noise = median * blocks / float(scipy.special.gammaincinv(blocks, 0.5))
+        highest = np.concatenate(self._highest).astype(np.float64) / noise
+        excess = np.concatenate(self._means) / noise - 1.0
+        excess -= 3.0 * np.sqrt(self._own / (self._code.size * blocks))  # by chance
+        leaks = _LEAK_PEAK * np.maximum(excess, 0.0)
+        ratios = np.maximum(np.sqrt(highest) - np.sqrt(leaks), 0.0) ** 2
+        dopplers_hz = np.concatenate(self._dopplers_hz)
+        if self._mirror_hz is not None:  # all noise in one dimension: half the exponent
+            ratios[abs(dopplers_hz - self._mirror_hz) < self._circular_hz] *= 0.5
+        best = int(ratios.argmax())
+        return Peak(
+            doppler_hz=float(dopplers_hz[best]),
+            cell=int(np.concatenate(self._cells)[best]),
+            ratio=float(ratios[best]),
+            noise=noise,
+            cells=ratios.size * self._allowed.size,
+        )
+
+
+def detection_threshold(false_alarm: float, cells: int, blocks: int) -> float:
+    """Least ratio of a cell's power to the mean of noise for a detection.
+
+    The sum of `blocks` powers of complex Gaussian noise follows a gamma distribution; the highest
+    of `cells` cells exceeds the threshold with probability `false_alarm`.
+    """
+    independent = max(1.0, _INDEPENDENT_SHARE * cells)
+    per_cell = -np.expm1(np.log1p(-false_alarm) / independent)
+    return float(scipy.special.gammainccinv(blocks, per_cell)) / blocks
