@@ -27,7 +27,6 @@ from deepgnss.core.records import (
 from deepgnss.receiver.baseband import correlate
 from deepgnss.receiver.locks import (
     NO_LOCK,
-    LockState,
     cn0_dbhz,
     fast_cn0_dbhz,
     residual_frequency_hz,
@@ -168,6 +167,7 @@ class Channel:
         self.periods = 0
         self._carrier = NcoState(0.0, doppler_hz, 0.0)
         self._code_offset_hz = 0.0
+        self._code_bandwidth_hz = settings.code_bandwidths_hz[0]
         # The first period starts at the next code epoch after the given sample.
         chip_rate = signal.id.chip_rate_hz * (1.0 + doppler_hz / signal.id.carrier_hz)
         wait_s = (self._length - code_chips % self._length) / chip_rate
@@ -245,6 +245,11 @@ class Channel:
         )
         self._aiding = aid
         self._frequency_error_hz += 0.3 * (carrier.frequency - self._frequency_error_hz)
+        bandwidth_hz = self.code_bandwidth_hz
+        if bandwidth_hz < self._code_bandwidth_hz:  # a wide loop's noisy rate must not live on
+            self._code_offset_hz = 0.0
+            code = NO_CORRECTION
+        self._code_bandwidth_hz = bandwidth_hz
         self._code_offset_hz += code.frequency
         chips = (
             advance(NcoState(command.code_chips, command.code_hz, command.code_hzps), elapsed_s)[0]

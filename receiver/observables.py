@@ -89,7 +89,7 @@ def observe(
             cn0_dbhz=interval.cn0_dbhz,
             lock_time_s=(instant.index - interval.phase_since) / rate_hz if valid else 0.0,
             slip=interval.slips != memory.slips,
-            half_cycle=not known,
+            half_cycle=valid and not known,
             carrier_valid=valid,
             transmit=from_ns(sent_ns).plus(rest_s),
         ),

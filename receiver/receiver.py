@@ -28,6 +28,7 @@ from deepgnss.core.records import (
 )
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import framing, lnav, pvt
+from deepgnss.receiver.accounts import Accounts
 from deepgnss.receiver.acquisition import (
     Acquisition,
     AcquisitionSettings,
@@ -47,15 +48,6 @@ from deepgnss.receiver.search import (
 )
 from deepgnss.receiver.signals import Signal
 
-STAGES = (
-    "searched",
-    "acquired",
-    "pulled in",
-    "bit sync",
-    "frame sync",
-    "ephemeris",
-    "used",
-)
 _TRAVEL_S = 0.075  # of a signal, when nothing is known: right to 12 ms
 _TIME_GUESS_S = 0.015
 
@@ -82,13 +74,6 @@ class Knowledge:
     clock: ReceiverClock | None = None
     position_e_m: FloatArray | None = None
     velocity_e_mps: FloatArray | None = None
-
-
-class Progress(NamedTuple):
-    """How far a satellite came, for the why-no-fix table."""
-
-    stage: str
-    detail: str
 
 
 class Fix(NamedTuple):
@@ -131,7 +116,7 @@ class Receiver:
         self.clock = knowledge.clock
         self.solution: NavSolution | None = None
         self.channels: dict[int, Channel] = {}
-        self.progress: dict[str, Progress] = {}
+        self.accounts = Accounts(signal)
         self._rate = Fraction(sample_rate_hz)
         self._near = knowledge.near
         self._start = knowledge
@@ -165,8 +150,10 @@ class Receiver:
         subframes = self._read_messages()
         fixes = self._observe(first, end)
         reports = tuple(
-            channel.report(self._stage(channel.satellite)) for channel in self._tracked()
+            channel.report(self.accounts.stage(channel.satellite)) for channel in self._tracked()
         )
+        for report in reports:
+            self.accounts.tracked(report)
         correlations = {
             channel.satellite: tuple(channel.recorded)
             for channel in self._tracked()
@@ -195,9 +182,9 @@ class Receiver:
         for channel in channels:
             self._events.extend(channel.events)
             if channel.mode is not Mode.PULL_IN:
-                self._advance(channel.satellite, "pulled in", f"in {channel.mode.value}")
+                self.accounts.advance(channel.satellite, "pulled in")
             if channel.edge is not None:
-                self._advance(channel.satellite, "bit sync", f"in {channel.mode.value}")
+                self.accounts.advance(channel.satellite, "bit sync")
 
     def _retire(self) -> None:
         for prn, channel in list(self.channels.items()):
@@ -206,8 +193,8 @@ class Receiver:
                 self._heads.pop(prn, None)
                 self._memory.pop(prn, None)
                 reason = channel.events[-1].reason if channel.events else "lost"
-                progress = self.progress[channel.satellite]
-                self.progress[channel.satellite] = Progress(progress.stage, f"lost: {reason}")
+                stage = self.accounts.stage(channel.satellite)
+                self.accounts.advance(channel.satellite, stage, f"lost: {reason}")
 
     # --- search ------------------------------------------------------------------------------
 
@@ -269,20 +256,14 @@ class Receiver:
 
     def _take(self, seen: Acquisition, first: int, sight: Sight | None) -> None:
         """Give a found satellite a channel."""
-        peak = f"peak {seen.peak_ratio:.1f} of {seen.threshold:.1f} needed"
-        self._advance(
-            seen.satellite, "searched", f"{peak}{': ' + seen.reason if seen.reason else ''}"
-        )
+        self.accounts.searched(seen)
         if not seen.found:
             return
-        self._advance(
-            seen.satellite,
-            "acquired",
-            f"{peak}, {seen.cn0_dbhz:.1f} dB-Hz at {seen.doppler_hz:+.0f} Hz",
+        detail = (
+            f"peak {seen.peak_ratio:.1f} of {seen.threshold:.1f} needed, "
+            f"{seen.cn0_dbhz:.1f} dB-Hz at {seen.doppler_hz:+.0f} Hz"
         )
-        self._events.append(
-            Event(first, seen.satellite, "acquired", self.progress[seen.satellite].detail)
-        )
+        self._events.append(Event(first, seen.satellite, "acquired", detail))
         channel = Channel(
             self.signal,
             seen.prn,
@@ -336,12 +317,12 @@ class Receiver:
                         )
                     )
         self._take_heads()
-        for prn, channel in self.channels.items():
+        for channel in self.channels.values():
             if channel.anchor is not None:
                 satellite = channel.satellite
-                self._advance(satellite, "frame sync", f"in {channel.mode.value}")
+                self.accounts.advance(satellite, "frame sync")
                 if satellite in self.nav.ephemerides:
-                    self._advance(satellite, "ephemeris", f"in {channel.mode.value}")
+                    self.accounts.advance(satellite, "ephemeris")
         return tuple(subframes)
 
     def _date(self) -> GpsTime | None:
@@ -425,82 +406,64 @@ class Receiver:
         return tuple(fixes)
 
     def _tags(self, first: int, end: int) -> list[int]:
-        """GPST tags, ns since the GPS epoch, at which this epoch's samples are observed."""
+        """GPST tags, ns since the GPS epoch, that fall on this epoch's samples, each once."""
         if self.clock is None:
             return []
         begin_ns, end_ns = (
-            self.clock.origin_ns + self.clock.gpst_ns(sample) for sample in (first, end)
+            self.clock.origin_ns + round(self.clock.gpst_ns(sample)) for sample in (first, end)
         )
-        if self._last_tag_ns is not None:
-            begin_ns = max(begin_ns, float(self._last_tag_ns))
         tags: set[int] = set()
         for interval in (self.settings.solution_ns, self.settings.output_ns):
-            tags.update(
-                range((int(begin_ns) // interval + 1) * interval, int(end_ns) + 1, interval)
-            )
-        return sorted(tag for tag in tags if self.clock.instant(tag).index < end)
+            tags.update(range(-(-begin_ns // interval) * interval, end_ns + 1, interval))
+        last = self._last_tag_ns
+        return sorted(
+            tag
+            for tag in tags
+            if first <= self.clock.instant(tag).index < end and (last is None or tag > last)
+        )
 
     def _fix(self, tag_ns: int) -> Fix | None:
-        epoch = self._epoch(tag_ns)
+        output = tag_ns % self.settings.output_ns == 0 and self._steered
+        epoch = self._epoch(tag_ns, output)
         if not epoch.observations:
             return None
         solution = pvt.solve(epoch, self.nav, self.settings.pvt, self.solution)
         if solution.valid and self.clock is not None:
-            first = not self._steered
+            first = self.solution is None
             self.clock = self.clock.steered(
                 tag_ns, solution.clock_s, solution.drift_sps, first=first
             )
             if first:  # observe again: the tag has moved by up to some ms
                 self._steered = True
-                epoch = self._epoch(tag_ns)
+                output = tag_ns % self.settings.output_ns == 0
+                epoch = self._epoch(tag_ns, output)
                 solution = pvt.solve(epoch, self.nav, self.settings.pvt, solution)
         self._last_tag_ns = tag_ns
         self.solution = solution if solution.valid else self.solution
         if solution.valid:
             self._last_place = (solution.r_e_m, solution.v_e_mps)
-            for satellite in solution.used:
-                self.progress[satellite] = Progress("used", "in the position")
-        for satellite, reason in solution.rejected.items():
-            progress = self.progress.get(satellite)
-            if progress is not None and progress.stage != "used":
-                self.progress[satellite] = Progress(progress.stage, f"rejected: {reason}")
+        self.accounts.solved(solution)
         if not self._steered:
             return None  # tags are still some ms off
-        output = tag_ns % self.settings.output_ns == 0
-        if output:
-            self._remember(tag_ns, epoch)
         return Fix(epoch, solution, output)
 
-    def _epoch(self, tag_ns: int) -> Epoch:
+    def _epoch(self, tag_ns: int, output: bool) -> Epoch:
+        """Observations at a tag; slips are counted from the last one put out."""
         if self.clock is None:
             raise ValueError("no receiver time")
         instant = self.clock.instant(tag_ns)
         observations = []
         for prn, channel in sorted(self.channels.items()):
-            seen = observe(channel, self.clock, tag_ns, instant, self._memory[prn])
+            memory = self._memory[prn]
+            seen = observe(channel, self.clock, tag_ns, instant, memory)
             if seen is not None:
                 observations.append(seen.observation)
+                self._memory[prn] = (
+                    seen.memory if output else memory._replace(ambiguity=seen.memory.ambiguity)
+                )
         return Epoch(from_ns(tag_ns), instant, tuple(observations))
-
-    def _remember(self, tag_ns: int, epoch: Epoch) -> None:
-        """Phase memory goes on from an epoch that is put out."""
-        if self.clock is None:
-            return
-        for prn, channel in self.channels.items():
-            seen = observe(channel, self.clock, tag_ns, epoch.instant, self._memory[prn])
-            if seen is not None:
-                self._memory[prn] = seen.memory
 
     # --- accounts ------------------------------------------------------------------------------
 
     def _note(self, channel: Channel, what: str, reason: str) -> None:
         self._events.append(Event(channel.command.sample, channel.satellite, what, reason))
-
-    def _stage(self, satellite: str) -> str:
-        progress = self.progress.get(satellite)
-        return progress.stage if progress is not None else STAGES[0]
-
-    def _advance(self, satellite: str, stage: str, detail: str) -> None:
-        """Note a stage unless the satellite came further before."""
-        if STAGES.index(stage) >= STAGES.index(self._stage(satellite)):
-            self.progress[satellite] = Progress(stage, detail)

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from deepgnss.core.loops import loop_gains
+from deepgnss.core.records import ComplexArray
 from deepgnss.receiver.discriminators import (
     costas_arctan,
     early_late_slope,
     early_minus_late_envelope,
     frequency_squared,
 )
-from deepgnss.core.records import ComplexArray
 
 
 class Accumulated(NamedTuple):

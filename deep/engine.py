@@ -1,0 +1,152 @@
+"""The epoch engine: samples in, one step per navigation epoch, results out.
+
+    recording ──▶ running sums ──▶ receiver step ──▶ StepResult
+
+The navigation closes its circle here when there is one: aiding goes into the step, the step's
+observations into the filter. A file has no cold start, so by default a scout pass over its
+beginning decodes time and ephemerides first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Protocol
+
+from deepgnss.core.errors import InputFileError
+from deepgnss.core.records import NavSolution, SampleBlock
+from deepgnss.deep.setup import RunPlan
+from deepgnss.receiver.baseband import RunningSumBuffer
+from deepgnss.receiver.channel import AidingSource
+from deepgnss.receiver.clock import ReceiverClock
+from deepgnss.receiver.receiver import Knowledge, Receiver, StepResult
+
+_READ_S = 0.02  # samples are read and summed in pieces of this length
+_HISTORY_S = 0.03  # kept of the epoch before: a symbol that began there, and margins
+_SCOUT_LIMIT_S = 120.0
+_SCOUT_AFTER_FIX_S = 6.2  # let a whole subframe pass for satellites that synchronized late
+
+
+class SampleSource(Protocol):
+    """What the engine reads from."""
+
+    def read(self, stream: str, first: int, count: int) -> SampleBlock:
+        """Samples [first, first + count) of a stream."""
+        ...
+
+
+class Engine:
+    """One pass over the samples with one receiver."""
+
+    def __init__(
+        self,
+        plan: RunPlan,
+        source: SampleSource,
+        knowledge: Knowledge,
+        executor: Executor | None,
+        block_s: float = _READ_S,
+    ) -> None:
+        """`block_s`: how much is read at a time; no result depends on it."""
+        self._plan = plan
+        self._source = source
+        self._block = max(1, round(block_s * plan.stream.sample_rate_hz))
+        self.receiver = Receiver(
+            plan.signal,
+            plan.stream.sample_rate_hz,
+            plan.settings,
+            knowledge,
+            executor,
+            plan.threads,
+        )
+
+    def steps(self, aiding: Mapping[str, AidingSource] | None = None) -> Iterator[StepResult]:
+        """Run epoch by epoch to the end of the plan."""
+        plan = self._plan
+        rate = plan.stream.sample_rate_hz
+        history = round(_HISTORY_S * rate)
+        longest = round(plan.epoch_s * rate) + 1
+        sums = RunningSumBuffer(plan.stream, plan.signal.id.carrier_hz, longest + history)
+        sums.restart(plan.first)
+        first, epoch = plan.first, 0
+        while first < plan.end:
+            epoch += 1
+            end = min(plan.first + round(epoch * plan.epoch_s * rate), plan.end)
+            sums.keep_from(first - history)
+            while sums.end < end:
+                count = min(self._block, end - sums.end)
+                sums.append(self._source.read(plan.stream.name, sums.end, count))
+            yield self.receiver.step(sums.sums, first, end, aiding)
+            first = end
+
+
+@contextmanager
+def workers(threads: int) -> Iterator[Executor | None]:
+    """A pool for the channels of an epoch; none for a single thread."""
+    if threads < 2:
+        yield None
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        yield pool
+
+
+class ScoutPass:
+    """Tracks the beginning of the recording until time, place and ephemerides are known."""
+
+    def __init__(self, engine: Engine, plan: RunPlan) -> None:
+        self._engine = engine
+        self._plan = plan
+        self.first_fix: NavSolution | None = None
+
+    def steps(self) -> Iterator[StepResult]:
+        """Run as far as needed; then `knowledge` holds what was learnt."""
+        rate = self._plan.stream.sample_rate_hz
+        fixed_at: int | None = None
+        for result in self._engine.steps():
+            yield result
+            for fix in result.fixes:
+                if self.first_fix is None and fix.solution.valid:
+                    self.first_fix, fixed_at = fix.solution, result.end
+            if fixed_at is not None and (
+                self._complete() or result.end - fixed_at > _SCOUT_AFTER_FIX_S * rate
+            ):
+                return
+            if result.end - self._plan.first > _SCOUT_LIMIT_S * rate:
+                return
+
+    def _complete(self) -> bool:
+        """Every tracked satellite has told its orbit, and the ionosphere is known."""
+        receiver = self._engine.receiver
+        orbits = receiver.nav.ephemerides
+        heard = all(channel.satellite in orbits for channel in receiver.channels.values())
+        return heard and receiver.signal.id.system in receiver.nav.klobuchar
+
+    @property
+    def knowledge(self) -> Knowledge:
+        """What is known at sample 0 of the processing pass."""
+        receiver, before = self._engine.receiver, self._plan.knowledge
+        check_agreement(receiver.clock, before)
+        known = replace(before, nav=receiver.nav, clock=receiver.clock)
+        solution = receiver.solution
+        if solution is not None and solution.valid:
+            known = replace(
+                known, position_e_m=solution.r_e_m, velocity_e_mps=solution.v_e_mps * 0.0
+            )
+        return known
+
+
+def check_agreement(clock: ReceiverClock | None, knowledge: Knowledge) -> None:
+    """Refuse ephemerides of a NAV file whose date the signals contradict."""
+    if clock is None or knowledge.near is None or not knowledge.nav.ephemerides:
+        return
+    gap_s = min(
+        abs(ephemeris.toe.since(clock.time(0)))
+        for several in knowledge.nav.ephemerides.values()
+        for ephemeris in several
+    )
+    if gap_s > 12 * 3600.0:
+        raise InputFileError(
+            f"nav: the signals say {clock.time(0).calendar():%Y-%m-%d %H:%M}, the NAV file's "
+            f"ephemerides lie {gap_s / 86400:.1f} days from that"
+        )

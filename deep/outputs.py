@@ -1,0 +1,175 @@
+"""All files of a run, fed with step results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from deepgnss.core.errors import OutputError
+from deepgnss.core.records import NavData, SatelliteOutcome
+from deepgnss.deep.setup import RunPlan
+from deepgnss.io.config import Config
+from deepgnss.io.correlations import CorrelationWriter
+from deepgnss.io.nmea import NmeaWriter
+from deepgnss.io.rinex import long_name
+from deepgnss.io.rinex_nav import write_nav
+from deepgnss.io.rinex_obs import ObsHeader, RinexObsWriter
+from deepgnss.io.summary import write_summary
+from deepgnss.io.tables import (
+    ChannelTable,
+    EventTable,
+    ObservationTable,
+    SatelliteTable,
+    SolutionTable,
+)
+from deepgnss.io.tracks import GeoJsonTrack, GpxTrack, KmlTrack
+from deepgnss.receiver.receiver import Fix, Knowledge, StepResult
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts for the summary."""
+
+    epochs: int = 0  # output instants from the first observations on
+    fixed: int = 0
+    first_fix_s: float | None = None
+    last: Fix | None = None
+    last_valid: Fix | None = None
+    start: Fix | None = None
+
+
+class Outputs:
+    """Writers of one run; use it in a `with` statement.
+
+    Every file is `<name>.part` until the run has ended in order.
+    """
+
+    def __init__(self, config: Config, plan: RunPlan, knowledge: Knowledge) -> None:
+        """Open the files the config asks for; OutputError when the folder is not writable."""
+        self.folder = Path(config.output.directory)
+        self.tally = Tally()
+        self._stack = ExitStack()
+        self._config = config
+        self._plan = plan
+        self._rate = plan.stream.sample_rate_hz
+        self._paths: list[Path] = []
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{self.folder}: cannot be made ({error.strerror})") from error
+        with ExitStack() as opening:
+            self._open(opening, knowledge)
+            self._stack = opening.pop_all()
+
+    def _open(self, stack: ExitStack, knowledge: Knowledge) -> None:
+        output, plan, folder = self._config.output, self._plan, self.folder
+        signals = (plan.signal.id,)
+        duration_s = (plan.end - plan.first) / self._rate
+        utc = knowledge.nav.utc
+        self._obs: RinexObsWriter | None = None
+        self._nmea: NmeaWriter | None = None
+        self._correlations: CorrelationWriter | None = None
+        self._tables: tuple[Any, ...] = ()
+        self._tracks: tuple[Any, ...] = ()
+        if output.rinex:
+            header = ObsHeader(signals, output.interval, duration_s, knowledge.position_e_m, utc)
+            self._obs = stack.enter_context(RinexObsWriter(folder, header))
+        if output.nmea:
+            leap = utc.leap_s if utc is not None else None
+            self._nmea = stack.enter_context(NmeaWriter(folder / "solution.nmea", signals, leap))
+        if output.csv:
+            self._solutions = stack.enter_context(SolutionTable(folder / "solution.csv"))
+            self._satellites = stack.enter_context(SatelliteTable(folder / "satellites.csv"))
+            self._channels = stack.enter_context(ChannelTable(folder / "channels.csv"))
+            self._observations = stack.enter_context(ObservationTable(folder / "observations.csv"))
+            self._events = stack.enter_context(EventTable(folder / "events.csv", self._rate))
+        if output.report:
+            self._tracks = (
+                stack.enter_context(KmlTrack(folder / "track.kml", "deepgnss")),
+                stack.enter_context(GpxTrack(folder / "track.gpx", "deepgnss")),
+                stack.enter_context(GeoJsonTrack(folder / "track.geojson", "deepgnss")),
+            )
+        if output.correlations:
+            half = plan.settings.tracking.spacing_chips / 2.0
+            self._correlations = stack.enter_context(
+                CorrelationWriter(folder / "correlations.h5", {signals[0].name: (half, 0.0, -half)})
+            )
+
+    def write(self, result: StepResult) -> None:
+        """Put one step into all files."""
+        for fix in result.fixes:
+            if fix.output:
+                self._write_fix(fix, result)
+        if self._config.output.csv:
+            time = result.fixes[-1].epoch.time if result.fixes else None
+            self._channels.write(result.end / self._rate, time, result.reports)
+            self._events.write(result.events)
+        if self._correlations is not None:
+            for satellite, records in result.correlations.items():
+                for record in records:
+                    self._correlations.write(satellite, self._plan.signal.id.name, record)
+
+    def _write_fix(self, fix: Fix, result: StepResult) -> None:
+        tally, solution = self.tally, fix.solution
+        tally.epochs += 1
+        tally.last = fix
+        tally.start = tally.start or fix
+        if solution.valid:
+            tally.fixed += 1
+            tally.last_valid = fix
+            if tally.first_fix_s is None:
+                tally.first_fix_s = fix.epoch.instant.index / self._rate
+        if self._obs is not None:
+            self._obs.write(fix.epoch)
+        if self._nmea is not None:
+            self._nmea.write(solution, fix.epoch)
+        if self._config.output.csv:
+            self._solutions.write(solution)
+            self._satellites.write(solution)
+            self._observations.write(fix.epoch)
+        if solution.valid:
+            for track in self._tracks:
+                track.write(solution)
+
+    def finish(
+        self, nav: NavData, outcomes: Sequence[SatelliteOutcome], more: Mapping[str, Any]
+    ) -> None:
+        """Close all files under their final names; write NAV file and summary."""
+        self._stack.close()
+        start = self.tally.start
+        if self._config.output.rinex and start is not None and nav.ephemerides:
+            duration_s = (self._plan.end - self._plan.first) / self._rate
+            system = self._plan.signal.id.system
+            write_nav(self.folder / long_name("N", system, start.epoch.time, duration_s), nav)
+        write_summary(self.folder / "summary.json", self._summary(outcomes, more))
+
+    def _summary(
+        self, outcomes: Sequence[SatelliteOutcome], more: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        tally = self.tally
+        valid = tally.last_valid
+        return {
+            "signal": self._plan.signal.id.name,
+            "recording_s": (self._plan.end - self._plan.first) / self._rate,
+            "epochs": tally.epochs,
+            "epochs_fixed": tally.fixed,
+            "first_fix_s": tally.first_fix_s,
+            "last_position_e_m": valid.solution.r_e_m if valid is not None else None,
+            **more,
+            "satellites": [outcome for outcome in outcomes if outcome.stage != "not searched"],
+        }
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)

@@ -1,0 +1,147 @@
+"""From a validated configuration to what receiver and engine are told."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from deepgnss.core.errors import ConfigError, InputFileError
+from deepgnss.core.frames import ecef
+from deepgnss.core.records import NavData, StreamInfo
+from deepgnss.core.time import GpsTime, from_utc
+from deepgnss.io.config import Config
+from deepgnss.io.rinex_nav import read_nav
+from deepgnss.receiver.acquisition import AcquisitionSettings
+from deepgnss.receiver.channel import TrackingSettings
+from deepgnss.receiver.clock import NS
+from deepgnss.receiver.pvt import PvtParameters
+from deepgnss.receiver.receiver import Knowledge, ReceiverSettings
+from deepgnss.receiver.signals import SIGNALS, Signal
+
+_NAV_REACH_S = 12 * 3600.0  # ephemerides further from the recording than this do not serve it
+
+
+@dataclass(frozen=True, slots=True)
+class RunPlan:
+    """What an engine needs beside the samples."""
+
+    signal: Signal
+    stream: StreamInfo
+    settings: ReceiverSettings
+    knowledge: Knowledge
+    first: int  # samples [first, end) are processed
+    end: int
+    epoch_s: float
+    scout: bool
+    threads: int
+
+
+def plan_run(config: Config, streams: tuple[StreamInfo, ...]) -> RunPlan:
+    """Choose signal and stream, and translate the settings.
+
+    Raises ConfigError when no stream covers a signal this version tracks, InputFileError when
+    the NAV file does not fit the recording's date.
+    """
+    signal, stream = _covered(config, streams)
+    first = round(config.recording.skip * stream.sample_rate_hz)
+    end = stream.sample_count
+    if config.recording.duration is not None:
+        end = min(end, first + round(config.recording.duration * stream.sample_rate_hz))
+    if first >= end:
+        raise ConfigError(
+            f"recording.skip: {config.recording.skip} s, but the recording lasts "
+            f"{stream.sample_count / stream.sample_rate_hz:.3f} s"
+        )
+    return RunPlan(
+        signal=signal,
+        stream=stream,
+        settings=receiver_settings(config, signal),
+        knowledge=initial_knowledge(config),
+        first=first,
+        end=end,
+        epoch_s=config.deep.epoch,
+        scout=config.start == "scout",
+        threads=config.threads or os.cpu_count() or 1,
+    )
+
+
+def _covered(config: Config, streams: tuple[StreamInfo, ...]) -> tuple[Signal, StreamInfo]:
+    for name in config.signals:
+        if name not in SIGNALS:
+            continue
+        carrier_hz = SIGNALS[name].id.carrier_hz
+        for stream in streams:
+            place_hz = stream.intermediate_hz + carrier_hz - stream.centre_hz
+            half_hz = stream.sample_rate_hz / 2.0
+            if (-half_hz if stream.is_complex else 0.0) <= place_hz <= half_hz:
+                return SIGNALS[name], stream
+    wanted = ", ".join(config.signals)
+    raise ConfigError(
+        f"signals: of {wanted}, none that this version tracks ({', '.join(SIGNALS)}) "
+        "lies in a stream"
+    )
+
+
+def receiver_settings(config: Config, signal: Signal) -> ReceiverSettings:
+    """Settings of the receiver from the config's tracking, acquisition, positioning, output."""
+    tracking, positioning, acquisition = config.tracking, config.positioning, config.acquisition
+    return ReceiverSettings(
+        tracking=TrackingSettings(
+            carrier_order=int(tracking.carrier.loop[-1]),
+            carrier_bandwidth_hz=tracking.carrier.bandwidth,
+            coherent_periods=round(tracking.carrier.coherent / signal.period_s),
+            code_order=tracking.code.order,
+            code_bandwidths_hz=tuple(tracking.code.bandwidth),
+            spacing_chips=tracking.code.spacing,
+            phase_threshold_dbhz=tracking.thresholds.phase,
+            frequency_threshold_dbhz=tracking.thresholds.frequency,
+            lost_after_s=tracking.thresholds.lost_after,
+            record_correlations=config.output.correlations,
+        ),
+        acquisition=AcquisitionSettings(
+            doppler_max_hz=acquisition.doppler_max,
+            coherent_s=acquisition.coherent,
+            noncoherent=acquisition.noncoherent,
+            false_alarm=acquisition.false_alarm,
+        ),
+        pvt=PvtParameters(
+            elevation_mask_rad=math.radians(positioning.elevation_mask),
+            ionosphere=positioning.ionosphere,
+            troposphere=positioning.troposphere,
+            raim=positioning.raim,
+        ),
+        output_ns=round(config.output.interval * NS),
+        solution_ns=round(config.deep.epoch * NS),
+    )
+
+
+def initial_knowledge(config: Config) -> Knowledge:
+    """What the config says of date, place and orbits."""
+    start = config.recording.start_time
+    near = from_utc(start) if start is not None else None
+    nav = NavData()
+    if config.nav is not None:
+        nav = read_nav(config.nav)
+        near = check_nav_date(nav, near, config.nav)
+    place = config.position
+    position_e_m = ecef(math.radians(place[0]), math.radians(place[1]), place[2]) if place else None
+    return Knowledge(nav=nav, near=near, position_e_m=position_e_m)
+
+
+def check_nav_date(nav: NavData, near: GpsTime | None, path: Path) -> GpsTime | None:
+    """The date to go by; a NAV file of another day is refused."""
+    toes = [e.toe for several in nav.ephemerides.values() for e in several]
+    if not toes:
+        raise InputFileError(f"{path}: holds no ephemeris of a satellite this version tracks")
+    if near is None:
+        return sorted(toes)[len(toes) // 2]
+    gap_s = min(abs(toe.since(near)) for toe in toes)
+    if gap_s > _NAV_REACH_S:
+        raise InputFileError(
+            f"{path}: its ephemerides ({min(toes).calendar():%Y-%m-%d} to "
+            f"{max(toes).calendar():%Y-%m-%d}) lie {gap_s / 86400:.1f} days from the recording "
+            f"({near.calendar():%Y-%m-%d})"
+        )
+    return near
