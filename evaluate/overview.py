@@ -25,6 +25,7 @@ from deepgnss.io.output import part_path, reporting
 from deepgnss.io.truth import Trajectory
 
 _MOST_POINTS = 4000  # per line; more do not show
+_RINGS_RAD = np.radians(22.5)  # azimuth at which the elevation rings are labelled
 _INK, _FAINT, _TRUTH, _OURS = "#222222", "#dddddd", "#999999", "#c2185b"
 _AXIS_COLOURS = {"north_m": "#1565c0", "east_m": "#2e7d32", "down_m": "#ef6c00"}
 
@@ -131,7 +132,7 @@ def _draw_sky(axes: PolarAxes, satellites: pd.DataFrame, colours: dict[str, str]
     axes.set_ylim(0.0, 90.0)
     axes.set_yticks([0.0, 30.0, 60.0, 90.0], ["90°", "60°", "30°", ""], fontsize=8, color="#777777")
     axes.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
-    axes.set_rlabel_position(22.5)
+    axes.set_rlabel_position(float(np.degrees(_RINGS_RAD)))
     axes.grid(color=_FAINT, linewidth=0.6)
     axes.set_title("Sky (filled: used)", loc="left", fontsize=11, color=_INK)
     seen = satellites.dropna(subset=["azimuth_deg", "elevation_deg"])
@@ -168,7 +169,8 @@ def _label_offsets(places: dict[str, tuple[float, float]]) -> dict[str, tuple[fl
         name: np.array([np.sin(azimuth), np.cos(azimuth)]) * zenith * points_per_degree
         for name, (azimuth, zenith) in places.items()
     }
-    taken = list(at.values())
+    ring_labels = [np.array([np.sin(_RINGS_RAD), np.cos(_RINGS_RAD)]) * r for r in (38.0, 68.0)]
+    taken = [*at.values(), *(place * points_per_degree for place in ring_labels)]
     offsets = {}
     angles = np.radians(np.arange(0.0, 360.0, 30.0))
     for name, here in at.items():
@@ -221,7 +223,7 @@ def _label_ends(axes: Axes, ends: dict[str, tuple[float, float]], colours: dict[
     """Name every line in the right margin at its last value, spread so that none overlap."""
     low, high = axes.get_ylim()
     names = sorted(ends, key=lambda name: ends[name][1])
-    per_column = 22
+    per_column = 26
     columns = -(-len(names) // per_column)
     for column in range(columns):
         part = names[column::columns]
@@ -310,7 +312,9 @@ def _draw_errors(axes: Axes, e: Errors, start_s: float) -> None:
 def _fit_height(axes: Axes, values: Iterable[FloatArray]) -> None:
     """Limits by percentiles: one gross error must not flatten the rest; room for the legend."""
     together = np.concatenate(list(values))
-    low, high = np.percentile(together, (0.3, 99.7))
+    low, middle, high = np.percentile(together, (2.0, 50.0, 98.0))
+    low = max(middle - 1.8 * (middle - low), float(together.min()))
+    high = min(middle + 1.8 * (high - middle), float(together.max()))
     room = 0.1 * max(high - low, 0.1)
     axes.set_ylim(min(low, 0.0) - room, max(high, 0.0) + 3.0 * room)
 
@@ -319,8 +323,8 @@ def _draw_dop(axes: Axes, solution: pd.DataFrame, start_s: float) -> None:
     title = "Satellites used and dilution of precision"
     _style(axes, title, "time since start of recording (s)", "satellites used")
     fixes = _thin(solution)
-    if not len(fixes):
-        _say(axes, "no epoch with time")
+    if not (fixes["valid"] == 1).any():
+        _say(axes, "no fix")
         return
     time_s = _absolute(fixes) - start_s
     axes.step(time_s, fixes["used"], where="post", color="#1565c0", linewidth=1.3)
@@ -340,4 +344,6 @@ def _draw_dop(axes: Axes, solution: pd.DataFrame, start_s: float) -> None:
 
 
 def _say(axes: Axes, text: str) -> None:
+    axes.set_xticks([])
+    axes.set_yticks([])
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color="#777777", fontsize=12)
