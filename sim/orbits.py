@@ -8,6 +8,7 @@ equation is iterated to the last bit. Nothing here is shared with the receiver's
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +57,11 @@ class Travel(NamedTuple):
     range_m: FloatArray  # geometric, in the inertial frame (Sagnac included)
     satellite_clock_s: FloatArray  # L1 C/A time tag − GPST when the signal left
     satellite_e_m: FloatArray  # where it left, in the ECEF frame of the instant of reception
+
+
+def nearest_set(sets: Sequence[Ephemeris], time: GpsTime) -> Ephemeris:
+    """The ephemeris of a satellite whose toe lies nearest to `time`."""
+    return min(sets, key=lambda ephemeris: abs(ephemeris.toe.since(time)))
 
 
 def orbit_of(ephemeris: Ephemeris, start: GpsTime) -> Orbit:

@@ -14,7 +14,7 @@ from deepgnss.core.records import GPS_L1CA, NavData
 from deepgnss.core.time import GpsTime
 from deepgnss.sim.constellation import nominal_gps
 from deepgnss.sim.delays import look
-from deepgnss.sim.orbits import orbit_of, travel
+from deepgnss.sim.orbits import nearest_set, orbit_of, travel
 from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario
 from deepgnss.sim.trajectory import Ellipse, Path, Static, Trajectory, smooth_profile
 
@@ -130,7 +130,6 @@ def elevations(nav: NavData, start: GpsTime, trajectory: Trajectory) -> dict[str
     seen = {}
     for satellite, sets in nav.ephemerides.items():
         if satellite[0] == GPS_L1CA.system:
-            nearest = min(sets, key=lambda e: abs(e.toe.since(start)))
-            path = travel(orbit_of(nearest, start), at_start, r_e_m)
+            path = travel(orbit_of(nearest_set(sets, start), start), at_start, r_e_m)
             seen[satellite] = float(look(trajectory, path, r_e_m)[1][0])
     return seen

@@ -13,6 +13,7 @@ from deepgnss.core.records import Ephemeris, NavData
 from deepgnss.core.time import GpsTime
 from deepgnss.io.formats import VALUE_BITS, ValueFormat
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL, Signal
+from deepgnss.sim.orbits import nearest_set
 from deepgnss.sim.trajectory import Trajectory
 
 
@@ -143,8 +144,7 @@ class Scenario:
         One set serves the whole recording, so that the truth has no step at a change of sets.
         """
         middle = self.start.plus(self.seconds / 2.0)
-        candidates = self.nav.ephemerides[satellite]
-        return min(candidates, key=lambda e: abs(e.toe.since(middle)))
+        return nearest_set(self.nav.ephemerides[satellite], middle)
 
     @property
     def sample_count(self) -> int:
