@@ -139,7 +139,7 @@ def _taps(periods: Periods, prn: int, doppler_hz: float, cell: float) -> Complex
 class _Fit(NamedTuple):
     """Most likely Doppler and division of the periods into symbols."""
 
-    power: float  # sum over symbols
+    score: float
     doppler_hz: float  # against the one wiped off
     starts: NDArray[np.int64]  # first period of every symbol
 
@@ -147,7 +147,8 @@ class _Fit(NamedTuple):
 def _fit_doppler(prompt: ComplexArray, signal: Signal, span_hz: float) -> _Fit:
     """Most likely Doppler over all places the symbol edges may have.
 
-    Symbols have unknown signs: each adds up coherently, their powers add.
+    Each symbol adds up coherently, and neighbours do with the better of their two relative signs:
+    powers alone would mistake a change of sign for a frequency (±1/2T) as often as not.
     """
     count = prompt.size
     longest = min(count, signal.symbol_periods)
@@ -163,14 +164,15 @@ def _fit_doppler(prompt: ComplexArray, signal: Signal, span_hz: float) -> _Fit:
         if edge:
             starts = np.concatenate([[0], starts])
         symbols = np.add.reduceat(turned, starts, axis=1)
-        power = (symbols.real**2 + symbols.imag**2).sum(axis=1)
-        top = int(power[1:-1].argmax()) + 1
-        left, mid, right = power[top - 1 : top + 2]
+        pairs = symbols[:, 1:] * symbols[:, :-1].conj()
+        score = (symbols.real**2 + symbols.imag**2).sum(axis=1) + 2.0 * abs(pairs.real).sum(axis=1)
+        top = int(score[1:-1].argmax()) + 1
+        left, mid, right = score[top - 1 : top + 2]
         curvature = left - 2.0 * mid + right
         offset = 0.5 * (left - right) / curvature if curvature < 0.0 and mid >= left else 0.0
         doppler_hz = float(dopplers[top] + min(max(offset, -1.0), 1.0) * step_hz)
         fits.append(_Fit(float(mid), doppler_hz, starts))
-    return max(fits, key=lambda fit: fit.power)
+    return max(fits, key=lambda fit: fit.score)
 
 
 def _refine(periods: Periods, prn: int, peak: Peak, coherent: int) -> tuple[float, float, float]:
@@ -178,7 +180,9 @@ def _refine(periods: Periods, prn: int, peak: Peak, coherent: int) -> tuple[floa
     signal = periods.signal
     chip = periods.cells / signal.id.code_chips
     doppler_hz, cell = peak.doppler_hz, float(peak.cell)
-    span_hz = 0.5 / (coherent * signal.period_s)
+    # A change of sign in a block moves the highest row; from period to period Doppler is known
+    # modulo 1 kHz only.
+    span_hz = min(0.75 / coherent, 0.35) / signal.period_s
     for _ in range(2):
         taps = _taps(periods, prn, doppler_hz, cell)
         fit = _fit_doppler(taps[:, 1], signal, span_hz)
@@ -190,7 +194,8 @@ def _refine(periods: Periods, prn: int, peak: Peak, coherent: int) -> tuple[floa
         span_hz = 0.125 / signal.symbol_s
     lengths = np.diff(np.append(fit.starts, len(taps)))
     noise = peak.noise / len(taps)  # of one period
-    snr = max(fit.power / noise - len(taps), 1e-3) / float(lengths @ lengths)
+    power = float(np.vdot(symbols[:, 1], symbols[:, 1]).real)
+    snr = max(power / noise - len(taps), 1e-3) / float(lengths @ lengths)
     cn0_dbhz = 10.0 * np.log10(snr / signal.period_s)
     code_chips = (cell / chip + periods.half_sample_chips) % signal.id.code_chips
     return doppler_hz, float(code_chips), float(cn0_dbhz)
