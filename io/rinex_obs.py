@@ -39,7 +39,7 @@ from deepgnss.io.rinex import (
 )
 
 _BLANK = " " * 16
-_LARGEST = 9_999_999_999.9994  # of a field F14.3
+_SMALLEST, _LARGEST = -999_999_999.9994, 9_999_999_999.9994  # that F14.3 holds
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ def _epoch_line(time: GpsTime, satellites: int) -> str:
 
 
 def _fits(value: float) -> bool:
-    return math.isfinite(value) and -0.1 * _LARGEST < value < _LARGEST
+    return _SMALLEST < value < _LARGEST
 
 
 def _field(value: float) -> str:

@@ -118,6 +118,20 @@ def test_not_finite_is_blank(tmp_path: Path) -> None:
     assert path.read_text().endswith("\nG05  21234567.891\n")
 
 
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (9_999_999_999.9994, " " * 14),
+        (9_999_999_999.999, "9999999999.999"),
+        (-999_999_999.999, "-999999999.999"),
+        (-999_999_999.9996, " " * 14),
+    ],
+)
+def test_widest_numbers(tmp_path: Path, value: float, text: str) -> None:
+    path = _write(tmp_path, [epoch([observation(doppler_hz=value)])])
+    assert path.read_text().splitlines()[-1][3 + 32 : 3 + 46] == text
+
+
 def test_seconds_never_reach_sixty() -> None:
     assert calendar(GpsTime(2190, 561_659.99999999)) == (2022, 1, 1, 12, 1, 0.0)
     assert calendar(GpsTime(2190, 604_799.99999999)) == (2022, 1, 2, 0, 0, 0.0)
