@@ -29,7 +29,7 @@ from deepgnss.core.records import (
 )
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import orbits
-from deepgnss.receiver.raim import check_residuals
+from deepgnss.receiver.raim import GROSS_M, check_residuals, gross_errors
 from deepgnss.receiver.weights import (
     ErrorModel,
     PvtParameters,
@@ -42,7 +42,8 @@ __all__ = ["ErrorModel", "PvtParameters", "dilutions", "inverse", "solve", "unso
 
 _MAX_ITERATIONS = 20
 _CONVERGED_M = 1.0  # the step after this one would be its square over the range: 1e-7 m
-_ATMOSPHERE_STEP_M = 1000.0  # its delays change by mm over this distance
+_ATMOSPHERE_STEP_M = 10.0  # its delays change by 3 mm at zenith over this height
+_KINDS = ("elevation", "residual", "range")
 _PLAUSIBLE_HEIGHT_M = (-20e3, 2000e3)
 
 
@@ -79,6 +80,7 @@ class _Failure(NamedTuple):
 
     reason: str
     low: Mapping[str, str]
+    diverged: bool = False
 
 
 def solve(
@@ -100,8 +102,17 @@ def solve(
     measured, rejected = _measure(epoch, nav)
     start_e_m = previous.r_e_m if previous is not None and previous.valid else np.zeros(3)
     active = measured.usable.copy()
+    screened = not parameters.raim
     while True:
         fix = _adjust(epoch, nav, parameters, measured, active, start_e_m)
+        if not screened and _is_gross(fix):
+            screened = True
+            for row, error_m in gross_errors(
+                measured.states, measured.ranges_m, active, start_e_m
+            ).items():
+                active[row] = False
+                rejected[measured.satellites[row]] = f"range off by {error_m / 1e3:.0f} km"
+            continue
         rejected |= fix.low
         if isinstance(fix, _Failure):
             return unsolved(epoch.time, fix.reason + _tally(rejected), rejected)
@@ -126,6 +137,9 @@ def solve(
                 f"residual {fix.residuals_m[row]:.1f} m at σ {fix.sigma_m[row]:.1f} m"
             )
         start_e_m = fix.r_e_m
+    height_m = geodetic(fix.r_e_m)[2]
+    if not _PLAUSIBLE_HEIGHT_M[0] < height_m < _PLAUSIBLE_HEIGHT_M[1]:
+        return unsolved(epoch.time, f"height of {height_m / 1e3:.0f} km is impossible", rejected)
     return _solution(epoch, parameters, measured, fix, rejected)
 
 
@@ -202,7 +216,7 @@ def _adjust(
         systems = _systems(measured, rows)
         needed = 3 + len(systems)
         if len(rows) < max(needed, 4):
-            return _Failure(f"{len(rows)} of {max(needed, 4)} satellites needed", low)
+            return _Failure(f"{len(rows)} of {max(needed, 4)} satellites needed", low, len(low) > 0)
         misfit = measured.ranges_m - delays_m - sight.range_m
         H = np.hstack(
             [
@@ -216,19 +230,25 @@ def _adjust(
             return _Failure(f"geometry of {len(rows)} satellites is singular", low)
         step_m = float(np.linalg.norm(x[:3]))
         r_e_m = r_e_m + x[:3]
-        if step_m < _CONVERGED_M and modelled_at_e_m is not None:
+        if step_m < _CONVERGED_M:
             break
     else:
-        return _Failure(f"no convergence: last of {_MAX_ITERATIONS} steps was {step_m:.0f} m", low)
-    height_m = geodetic(r_e_m)[2]
-    if not _PLAUSIBLE_HEIGHT_M[0] < height_m < _PLAUSIBLE_HEIGHT_M[1]:
-        return _Failure(f"height of {height_m / 1e3:.0f} km is impossible", low)
+        return _Failure(
+            f"no convergence: last of {_MAX_ITERATIONS} steps was {step_m:.0f} m", low, True
+        )
     biases_m = dict(zip(systems, (float(b) for b in x[3:]), strict=True))
     own_m = np.array([biases_m.get(s[0], np.nan) for s in measured.satellites])
     moved_m = -sight.unit_e @ x[:3]
     return _Fix(
         r_e_m, biases_m, H, sigma_m, misfit - moved_m - own_m, azimuth, elevation, used, sight, low
     )
+
+
+def _is_gross(fix: _Fix | _Failure) -> bool:
+    """Whether residuals are beyond what a linear test can judge."""
+    if isinstance(fix, _Failure):
+        return fix.diverged
+    return bool(np.abs(fix.residuals_m[fix.used]).max() > GROSS_M)
 
 
 def _systems(measured: _Measured, rows: NDArray[np.intp]) -> list[str]:
@@ -254,7 +274,9 @@ def _below_mask(
 def _tally(rejected: Mapping[str, str]) -> str:
     """How many satellites were left out for which kind of reason."""
     kinds = [
-        next((kind for kind in ("elevation", "residual") if reason.startswith(kind)), reason)
+        next(
+            (kind for kind in ("elevation", "residual", "range") if reason.startswith(kind)), reason
+        )
         for reason in rejected.values()
     ]
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from itertools import combinations
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from deepgnss.core.records import FloatArray
+from deepgnss.receiver.orbits import SatelliteStates, line_of_sight
+
+GROSS_M = 1000.0
+"""Range errors beyond this are no noise, no reflection: whole code periods or bits are wrong."""
+
+_SCALES_M = (1e7, 1e6, 1e6, 1e5, 1e5, 1e4, 1e4, 1e3, 1e3, 1e3)
+
+_MANY = 5000  # sets of one size, some 10 ms of trying
 
 
 class RaimResult(NamedTuple):
@@ -25,7 +35,7 @@ def check_residuals(
     residuals: FloatArray,
     sigma: FloatArray,
     false_alarm: float,
-    at_once: int = 3,
+    at_once: int = 4,
     excludable: int | None = None,
 ) -> RaimResult:
     """Chi-square test of least-squares residuals and search for the rows that spoil it.
@@ -61,6 +71,8 @@ def check_residuals(
     left = statistic
     candidates = rows if excludable is None else excludable
     for count in range(1, min(at_once, dof - 1, candidates) + 1):
+        if comb(candidates, count) > _MANY:
+            break
         sets = np.array(list(combinations(range(candidates), count)))
         left, best = _best_set(Q, e, sets, statistic)
         if best and left <= chdtri(dof - count, false_alarm):
@@ -95,3 +107,39 @@ def _best_set(
     gain = (e_sets * np.linalg.solve(blocks, e_sets)).sum(axis=(1, 2))
     winner = int(np.argmax(gain))
     return max(statistic - float(gain[winner]), 0.0), tuple(int(row) for row in sets[winner])
+
+
+def gross_errors(
+    states: SatelliteStates,
+    ranges_m: FloatArray,
+    active: NDArray[np.bool_],
+    start_e_m: FloatArray,
+) -> dict[int, float]:
+    """Rows whose range is off by kilometres, and by how much.
+
+    Such errors bend the equations too much for a linear test. They show in a fix in which misfits
+    far beyond a shrinking scale weigh little. With fewer than two satellites to spare nothing is
+    blamed: four agree on any wrong place.
+
+    Parameters
+    ----------
+    states, ranges_m: satellites (k) and pseudoranges (k,) with the satellite clock taken off.
+    active: (k,) rows to look at. start_e_m: a position to start from, or the geocentre.
+    """
+    rows = np.flatnonzero(active)
+    if len(rows) < 6:
+        return {}
+    r_e_m, clock_m = start_e_m, None
+    for scale_m in _SCALES_M:
+        sight = line_of_sight(r_e_m, np.zeros(3), states)
+        misfit = (ranges_m - sight.range_m)[rows]
+        clock_m = float(np.median(misfit)) if clock_m is None else clock_m
+        weight = 1.0 / np.hypot(scale_m, misfit - clock_m)
+        H = np.column_stack([-sight.unit_e[rows], np.ones(len(rows))])
+        x = np.linalg.lstsq(H * weight[:, np.newaxis], misfit * weight)[0]
+        r_e_m, clock_m = r_e_m + x[:3], float(x[3])
+    left = misfit - H @ x
+    wrong = np.flatnonzero(np.abs(left) > GROSS_M)
+    if len(rows) - len(wrong) < 5:
+        return {}
+    return {int(rows[k]): float(left[k]) for k in wrong}
