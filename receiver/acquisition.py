@@ -12,11 +12,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
 from deepgnss.core.jit import kernel
 from deepgnss.core.records import ComplexArray, FloatArray, RunningSums
@@ -34,6 +32,7 @@ from deepgnss.receiver.acquisition_grid import (
     replica_cells,
 )
 from deepgnss.receiver.signals import Signal
+from deepgnss.receiver.symbols import fit_symbols
 
 __all__ = [
     "Acquisition",
@@ -136,45 +135,6 @@ def _taps(periods: Periods, prn: int, doppler_hz: float, cell: float) -> Complex
     return out
 
 
-class _Fit(NamedTuple):
-    """Most likely Doppler and division of the periods into symbols."""
-
-    score: float
-    doppler_hz: float  # against the one wiped off
-    starts: NDArray[np.int64]  # first period of every symbol
-
-
-def _fit_doppler(prompt: ComplexArray, signal: Signal, span_hz: float) -> _Fit:
-    """Most likely Doppler over all places the symbol edges may have.
-
-    Each symbol adds up coherently, and neighbours do with the better of their two relative signs:
-    powers alone would mistake a change of sign for a frequency (±1/2T) as often as not.
-    """
-    count = prompt.size
-    longest = min(count, signal.symbol_periods)
-    step_hz = 0.125 / (longest * signal.period_s)
-    reach = int(np.ceil(span_hz / step_hz)) + 1
-    dopplers = np.arange(-reach, reach + 1) * step_hz
-    turned = prompt * np.exp(
-        -2j * np.pi * dopplers[:, np.newaxis] * signal.period_s * np.arange(count)
-    )
-    fits = []
-    for edge in range(longest):
-        starts = np.arange(edge, count, signal.symbol_periods)
-        if edge:
-            starts = np.concatenate([[0], starts])
-        symbols = np.add.reduceat(turned, starts, axis=1)
-        pairs = symbols[:, 1:] * symbols[:, :-1].conj()
-        score = (symbols.real**2 + symbols.imag**2).sum(axis=1) + 2.0 * abs(pairs.real).sum(axis=1)
-        top = int(score[1:-1].argmax()) + 1
-        left, mid, right = score[top - 1 : top + 2]
-        curvature = left - 2.0 * mid + right
-        offset = 0.5 * (left - right) / curvature if curvature < 0.0 and mid >= left else 0.0
-        doppler_hz = float(dopplers[top] + min(max(offset, -1.0), 1.0) * step_hz)
-        fits.append(_Fit(float(mid), doppler_hz, starts))
-    return max(fits, key=lambda fit: fit.score)
-
-
 def _refine(periods: Periods, prn: int, peak: Peak, coherent: int) -> tuple[float, float, float]:
     """Doppler in Hz, code phase in chips and C/N0 in dB-Hz from the highest cell on."""
     signal = periods.signal
@@ -183,11 +143,11 @@ def _refine(periods: Periods, prn: int, peak: Peak, coherent: int) -> tuple[floa
     # A change of sign in a block moves the highest row; from period to period Doppler is known
     # modulo 1 kHz only.
     span_hz = min(0.75 / coherent, 0.35) / signal.period_s
+    times_s = np.arange(periods.samples.shape[0]) * signal.period_s
     for _ in range(2):
         taps = _taps(periods, prn, doppler_hz, cell)
-        fit = _fit_doppler(taps[:, 1], signal, span_hz)
-        turn = np.exp(-2j * np.pi * fit.doppler_hz * signal.period_s * np.arange(len(taps)))
-        symbols = np.add.reduceat(taps * turn[:, np.newaxis], fit.starts, axis=0)
+        fit = fit_symbols(taps[:, 1], times_s, signal.symbol_periods, span_hz)
+        symbols = np.add.reduceat(fit.strip(taps, times_s), fit.starts, axis=0)
         early, _, late = (symbols * symbols[:, 1:2].conj()).real.sum(axis=0)
         cell += float(np.clip((late - early) / (late + early) * (chip - _TAP_CELLS), -1.0, 1.0))
         doppler_hz += fit.doppler_hz
