@@ -14,9 +14,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from deepgnss.core.constants import (
+    BDT_MINUS_GPST_S,
     EARTH_RATE_RADPS,
     GM_GPS_M3PS2,
     RELATIVITY_F_SPRM,
+    SECONDS_PER_WEEK,
     SPEED_OF_LIGHT_MPS,
 )
 from deepgnss.core.frames import azimuth_elevation
@@ -30,12 +32,16 @@ class SystemConstants(NamedTuple):
     gm_m3ps2: float
     earth_rate_radps: float
     relativity_sprm: float  # F = −2 √GM / c²
+    minus_gpst_s: float  # its time minus GPST: the node is counted from its own week
 
 
 SYSTEMS: Final = {
-    "G": SystemConstants(GM_GPS_M3PS2, EARTH_RATE_RADPS, RELATIVITY_F_SPRM),
+    "G": SystemConstants(GM_GPS_M3PS2, EARTH_RATE_RADPS, RELATIVITY_F_SPRM, 0.0),
     "C": SystemConstants(  # BDS-SIS-ICD 2.1, 5.2.4.10 and 5.2.4.12
-        3.986004418e14, 7.2921150e-5, -2.0 * 3.986004418e14**0.5 / SPEED_OF_LIGHT_MPS**2
+        3.986004418e14,
+        7.2921150e-5,
+        -2.0 * 3.986004418e14**0.5 / SPEED_OF_LIGHT_MPS**2,
+        BDT_MINUS_GPST_S,
     ),
 }
 
@@ -114,8 +120,9 @@ def satellite_states(
     table = np.array([[getattr(e, name) for name in _ELEMENTS] for e in ephemerides]).T
     (sqrt_a, ecc, m0, delta_n, omega0, omega, omega_dot, i0, idot) = table[:9]
     (cuc, cus, crc, crs, cic, cis, af0, af1, af2, group_delay_s) = table[9:]
-    gm, earth_rate, relativity = np.array([SYSTEMS[e.satellite[0]] for e in ephemerides]).T
-    toe_tow = np.array([e.toe.tow_s for e in ephemerides])
+    constants = np.array([SYSTEMS[e.satellite[0]] for e in ephemerides]).T
+    gm, earth_rate, relativity, minus_gpst_s = constants
+    toe_tow = (np.array([e.toe.tow_s for e in ephemerides]) + minus_gpst_s) % SECONDS_PER_WEEK
     tk = offset_s + np.array([reference.since(e.toe) for e in ephemerides])
     tc = offset_s + np.array([reference.since(e.toc) for e in ephemerides])
 
