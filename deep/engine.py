@@ -19,8 +19,9 @@ from deepgnss.core.errors import InputFileError
 from deepgnss.core.records import NavSolution, SampleBlock
 from deepgnss.deep.setup import RunPlan
 from deepgnss.receiver.baseband import RunningSumBuffer
-from deepgnss.receiver.channel import AidingSource
 from deepgnss.receiver.clock import ReceiverClock
+from deepgnss.receiver.framing import known_symbols
+from deepgnss.receiver.modes import AidingSource
 from deepgnss.receiver.receiver import Knowledge, Receiver, StepResult
 
 _READ_S = 0.02  # samples are read and summed in pieces of this length
@@ -127,7 +128,12 @@ class ScoutPass:
         """What is known at sample 0 of the processing pass."""
         receiver, before = self._engine.receiver, self._plan.knowledge
         check_agreement(receiver.clock, before)
-        known = replace(before, nav=receiver.nav, clock=receiver.clock)
+        symbols = {
+            channel.satellite: told
+            for channel in receiver.channels.values()
+            if (told := known_symbols(channel)) is not None
+        }
+        known = replace(before, nav=receiver.nav, clock=receiver.clock, symbols=symbols)
         solution = receiver.solution
         if solution is not None and solution.valid:
             known = replace(

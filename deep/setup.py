@@ -14,8 +14,8 @@ from deepgnss.core.time import GpsTime, from_utc
 from deepgnss.io.config import Config
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.receiver.acquisition import AcquisitionSettings
-from deepgnss.receiver.channel import TrackingSettings
 from deepgnss.receiver.clock import NS
+from deepgnss.receiver.modes import TrackingSettings
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.receiver import Knowledge, ReceiverSettings
 from deepgnss.receiver.signals import SIGNALS, Signal

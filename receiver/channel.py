@@ -7,14 +7,10 @@ observables turn its sign (see `observables`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
 
-from deepgnss.core.loops import settling_time_s
 from deepgnss.core.records import (
     ChannelReport,
     ComplexArray,
@@ -33,11 +29,20 @@ from deepgnss.receiver.locks import (
     restart_phase,
     update_locks,
 )
+from deepgnss.receiver.modes import (
+    NO_AIDING,
+    TRANSITIONS,
+    AidingSource,
+    Mode,
+    TrackingSettings,
+    unaided,
+)
 from deepgnss.receiver.signals import Signal, code_runs
 from deepgnss.receiver.sync import BitSync, add_prompts, demodulate, start_bit_sync, symbol_edge
 from deepgnss.receiver.trackers import (
     NO_CORRECTION,
     Accumulated,
+    Correction,
     DelayLock,
     FrequencyLock,
     NcoState,
@@ -45,68 +50,19 @@ from deepgnss.receiver.trackers import (
     Tracker,
     advance,
     corrected,
+    scheduled_bandwidth_hz,
 )
 
-
-class Mode(Enum):
-    """What a channel is doing."""
-
-    PULL_IN = "pull-in"  # wide FLL and DLL on a fresh acquisition
-    FREQUENCY = "FLL"  # frequency lock; phase is not kept
-    PHASE = "PLL"  # phase lock on whole symbols
-    HOLD = "hold"  # signal gone: generators coast
-    LOST = "lost"
-
-
 _REMEMBERED_S = 4.0  # prompts of a frequency-locked stretch kept for bit sync
-
-# Every change of mode there is; the channel refuses any other.
-TRANSITIONS: dict[Mode, frozenset[Mode]] = {
-    Mode.PULL_IN: frozenset({Mode.FREQUENCY, Mode.LOST}),
-    Mode.FREQUENCY: frozenset({Mode.PHASE, Mode.HOLD}),
-    Mode.PHASE: frozenset({Mode.FREQUENCY, Mode.HOLD}),
-    Mode.HOLD: frozenset({Mode.FREQUENCY, Mode.LOST}),
-    Mode.LOST: frozenset(),
-}
-
-
-@dataclass(frozen=True, slots=True)
-class TrackingSettings:
-    """Parameters of a channel, as the config's `tracking` section."""
-
-    carrier_order: int = 3
-    carrier_bandwidth_hz: float = 7.0
-    coherent_periods: int = 20
-    code_order: int = 2
-    code_bandwidths_hz: tuple[float, ...] = (3.0, 1.0, 0.1)
-    spacing_chips: float = 0.25
-    phase_threshold_dbhz: float = 28.0
-    frequency_threshold_dbhz: float = 18.0
-    lost_after_s: float = 3.0
-    frequency_bandwidth_hz: float = 1.5
-    pull_in_bandwidth_hz: float = 8.0
-    pull_in_s: float = 0.2
-    record_correlations: bool = False
-
-
-class AidingRate(NamedTuple):
-    """Predicted carrier frequency at a sample and its slope; zeros when there is no aiding."""
-
-    frequency_hz: float
-    rate_hzps: float
-
-
-NO_AIDING = AidingRate(0.0, 0.0)
-AidingSource = Callable[[int], AidingRate]
-
-
-def unaided(_sample: int) -> AidingRate:
-    """Aiding source of a plain receiver."""
-    return NO_AIDING
+_HISTORY_SYMBOLS = 3  # commands kept for observables of the epoch before
 
 
 class Interval(NamedTuple):
-    """A command with what was known when it was given: the observables read these."""
+    """A command with what was known when it was given, and what it was found to lack.
+
+    The observables read these: generators' state plus correction is the loop's estimate with the
+    interval's own correlations taken in, so it is less noisy and lags less than the generators.
+    """
 
     command: NcoCommand
     periods: int  # code periods since the channel started
@@ -115,6 +71,8 @@ class Interval(NamedTuple):
     slips: int  # possible cycle slips so far
     phase_since: int  # sample of phase lock
     cn0_dbhz: float
+    correction: Correction = NO_CORRECTION  # what the interval's correlations said of it …
+    middle_s: float = 0.0  # … at its middle, s after the command
 
 
 class Channel:
@@ -151,6 +109,7 @@ class Channel:
         self._rate = sample_rate_hz
         self._sample_chips = signal.id.chip_rate_hz / sample_rate_hz
         self._length = float(signal.id.code_chips)
+        self._history = int(_HISTORY_SYMBOLS * signal.symbol_s * sample_rate_hz)
         self._bit_sync: BitSync = start_bit_sync(signal.symbol_periods)
         self._prompts: list[ComplexArray] = []  # of the stretch bit sync works on
         self._prompts_first = 0
@@ -180,7 +139,8 @@ class Channel:
 
     def run(self, sums: RunningSums, until: int, aiding: AidingSource = unaided) -> None:
         """Track through all intervals that end before sample `until`."""
-        self.history = self.history[-1:]
+        oldest = self.command.sample - self._history
+        self.history = [i for i in self.history if i.command.sample >= oldest]
         self.events = []
         self.recorded = []
         margin = 4 + int(2.0 * self.settings.spacing_chips / self._sample_chips)
@@ -234,6 +194,7 @@ class Channel:
         if self.mode is not Mode.HOLD and 4 * seen.periods.shape[0] >= self._full:
             carrier = self._carrier_tracker.correct(seen)
             code = self._code_tracker.correct(seen)
+        self.history[-1] = self.history[-1]._replace(correction=carrier, middle_s=middle_s)
         before = advance(self._carrier, elapsed_s)
         after = corrected(before, carrier, elapsed_s - middle_s)
         aid = aiding(command.sample + whole)
@@ -248,7 +209,7 @@ class Channel:
         bandwidth_hz = self.code_bandwidth_hz
         if bandwidth_hz < self._code_bandwidth_hz:  # a wide loop's noisy rate must not live on
             self._code_offset_hz = 0.0
-            code = NO_CORRECTION
+            code = code._replace(frequency=0.0)
         self._code_bandwidth_hz = bandwidth_hz
         self._code_offset_hz += code.frequency
         chips = (
@@ -292,14 +253,9 @@ class Channel:
 
     @property
     def code_bandwidth_hz(self) -> float:
-        """Present bandwidth of the code loop by the schedule, T(5.22)."""
-        schedule = self.settings.code_bandwidths_hz
-        left_s = self._seconds_since(self._code_since)
-        for bandwidth in schedule[:-1]:
-            left_s -= settling_time_s(bandwidth)
-            if left_s < 0.0:
-                return bandwidth
-        return schedule[-1]
+        """Present bandwidth of the code loop."""
+        seconds = self._seconds_since(self._code_since)
+        return scheduled_bandwidth_hz(self.settings.code_bandwidths_hz, seconds)
 
     @property
     def _code_tracker(self) -> Tracker:

@@ -17,7 +17,7 @@ from deepgnss.core.records import ComplexArray
 _TURN = 2.0 * math.pi
 
 
-# --- carrier phase, blind to the sign of the bit (T table 2.1), cycles -----------------------------
+# --- carrier phase, blind to the sign of the bit (T table 2.1), cycles ---------------------------
 
 
 def costas_arctan(prompt: complex) -> float:
@@ -41,7 +41,7 @@ def costas_decision(prompt: complex) -> float:
     return math.copysign(1.0, prompt.real) * prompt.imag / (amplitude * _TURN) if amplitude else 0.0
 
 
-# --- carrier frequency, Hz -------------------------------------------------------------------------
+# --- carrier frequency, Hz -----------------------------------------------------------------------
 
 
 def frequency_arctan(products: complex, interval_s: float) -> float:
@@ -58,7 +58,7 @@ def frequency_squared(prompts: ComplexArray, interval_s: float) -> float:
     return cmath.phase(complex(np.dot(products, products))) / (2.0 * _TURN * interval_s)
 
 
-# --- code delay, chips -----------------------------------------------------------------------------
+# --- code delay, chips ---------------------------------------------------------------------------
 
 
 @lru_cache(maxsize=64)

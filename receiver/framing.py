@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.orbits import with_ephemeris
 
 _SCAN_EVERY = 10  # symbols between searches for a frame
+_POLARITY_SYMBOLS = 16  # compared at least with symbols known before
+_POLARITY_SHARE = 0.95  # that must agree (or all disagree)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +80,39 @@ def read_symbols(state: FrameState, channel: Channel, near: GpsTime | None) -> F
         heads=state.heads + len(frames),
     )
     return Found(state, tuple(frames), tuple(news), tuple(subframes))
+
+
+class KnownSymbols(NamedTuple):
+    """Symbols decoded before, upright: what a satellite sent from a code period on."""
+
+    first: int  # code periods since the GPS epoch
+    symbols: bytes  # 0/1
+
+
+def known_symbols(channel: Channel) -> KnownSymbols | None:
+    """What a channel has decided in its present stretch, once time and polarity are known."""
+    if channel.anchor is None or channel.half_cycle is None or not channel.symbols:
+        return None
+    inverted = int(channel.half_cycle != 0.0)
+    upright = bytes(symbol ^ inverted for symbol in channel.symbols)
+    return KnownSymbols(channel.anchor + channel.symbols_first, upright)
+
+
+def polarity(channel: Channel, known: KnownSymbols) -> float | None:
+    """Half cycle (0 or ½) of a channel from symbols known before; None while too few overlap."""
+    if channel.anchor is None:
+        return None
+    size = channel.signal.symbol_periods
+    offset = (channel.anchor + channel.symbols_first - known.first) // size
+    seen = np.frombuffer(bytes(channel.symbols), dtype=np.int8)[max(0, -offset) :]
+    told = np.frombuffer(known.symbols, dtype=np.int8)[max(0, offset) :]
+    count = min(seen.size, told.size)
+    if count < _POLARITY_SYMBOLS:
+        return None
+    share = float(np.mean(seen[:count] == told[:count]))
+    if share > _POLARITY_SHARE:
+        return 0.0
+    return 0.5 if share < 1.0 - _POLARITY_SHARE else None
 
 
 def anchor_of(channel: Channel, frame: lnav.Frame, week: int) -> int:

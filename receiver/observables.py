@@ -13,7 +13,7 @@ from deepgnss.core.constants import SECONDS_PER_WEEK, SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import Observation, SampleInstant
 from deepgnss.receiver.channel import Channel, Interval
 from deepgnss.receiver.clock import NS, ReceiverClock, from_ns
-from deepgnss.receiver.trackers import NcoState, advance
+from deepgnss.receiver.trackers import NcoState, advance, corrected
 
 
 class PhaseMemory(NamedTuple):
@@ -31,12 +31,15 @@ class Observed(NamedTuple):
 
 
 def _at(interval: Interval, instant: SampleInstant, rate_hz: float) -> tuple[NcoState, NcoState]:
-    """Carrier and code generators at an instant (cycles, chips)."""
+    """Carrier (as the loop estimates it) and code at an instant: cycles, chips."""
     command = interval.command
     seconds = (instant.index - command.sample + instant.fraction) / rate_hz
     carrier = NcoState(command.carrier_cycles, command.carrier_hz, command.carrier_hzps)
     code = NcoState(command.code_chips, command.code_hz, command.code_hzps)
-    return advance(carrier, seconds), advance(code, seconds)
+    estimated = corrected(
+        advance(carrier, seconds), interval.correction, seconds - interval.middle_s
+    )
+    return estimated, advance(code, seconds)
 
 
 def transmit_ns(channel: Channel, interval: Interval, code_chips: float) -> tuple[int, float]:

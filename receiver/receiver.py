@@ -35,8 +35,9 @@ from deepgnss.receiver.acquisition import (
     cold_search,
     search,
 )
-from deepgnss.receiver.channel import AidingSource, Channel, Mode, TrackingSettings, unaided
+from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock, from_ns
+from deepgnss.receiver.modes import AidingSource, Mode, TrackingSettings, unaided
 from deepgnss.receiver.observables import PhaseMemory, observe
 from deepgnss.receiver.search import (
     Place,
@@ -74,6 +75,7 @@ class Knowledge:
     clock: ReceiverClock | None = None
     position_e_m: FloatArray | None = None
     velocity_e_mps: FloatArray | None = None
+    symbols: Mapping[str, framing.KnownSymbols] = field(default_factory=dict)
 
 
 class Fix(NamedTuple):
@@ -318,6 +320,12 @@ class Receiver:
                     )
         self._take_heads()
         for channel in self.channels.values():
+            known = self._start.symbols.get(channel.satellite)
+            if known is not None and channel.half_cycle is None:
+                half_cycle = framing.polarity(channel, known)
+                if half_cycle is not None:
+                    channel.set_polarity(half_cycle)
+        for channel in self.channels.values():
             if channel.anchor is not None:
                 satellite = channel.satellite
                 self.accounts.advance(satellite, "frame sync")
@@ -406,9 +414,14 @@ class Receiver:
         return tuple(fixes)
 
     def _tags(self, first: int, end: int) -> list[int]:
-        """GPST tags, ns since the GPS epoch, that fall on this epoch's samples, each once."""
+        """GPST tags, ns since the GPS epoch, each once, as far as every channel's estimate goes.
+
+        A channel's last whole interval ends up to a symbol before the epoch does.
+        """
         if self.clock is None:
             return []
+        lag = int(1.25 * self.signal.symbol_s * self._rate)
+        first, end = first - lag, end - lag
         begin_ns, end_ns = (
             self.clock.origin_ns + round(self.clock.gpst_ns(sample)) for sample in (first, end)
         )

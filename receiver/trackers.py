@@ -1,4 +1,4 @@
-"""Carrier and code trackers: interchangeable parts with one method, correlations in, correction out.
+"""Carrier and code trackers: interchangeable, correlations in, correction out.
 
 A tracker holds parameters only. What a loop remembers (phase, frequency, rate) is the generator's
 own state, `NcoState`; a correction refers to the middle of the interval it was measured on.
@@ -7,11 +7,12 @@ Aiding never passes through here: it is added to the command (see `channel`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from deepgnss.core.loops import loop_gains
+from deepgnss.core.loops import loop_gains, settling_time_s
 from deepgnss.core.records import ComplexArray
 from deepgnss.receiver.discriminators import (
     costas_arctan,
@@ -19,6 +20,8 @@ from deepgnss.receiver.discriminators import (
     early_minus_late_envelope,
     frequency_squared,
 )
+
+_NARROWING = 0.25  # log of the ratio of bandwidths from step to step
 
 
 class Accumulated(NamedTuple):
@@ -67,6 +70,25 @@ def corrected(state: NcoState, correction: Correction, since_middle_s: float) ->
     return NcoState(
         state.phase + moved.phase, state.frequency + moved.frequency, state.rate + moved.rate
     )
+
+
+def scheduled_bandwidth_hz(schedule: tuple[float, ...], seconds: float) -> float:
+    """Bandwidth of a code loop some time after it was closed.
+
+    Each bandwidth serves until its step response first crosses zero, T(5.22). The step to the
+    last one is taken in small ones, as 1/t, like the running mean it stands for: switched at
+    once, the noise of the wider loop would stay for the many seconds the last one needs.
+    """
+    *wide, last = schedule
+    for bandwidth in wide:
+        settling_s = settling_time_s(bandwidth)
+        if seconds < settling_s:
+            return bandwidth
+        seconds -= settling_s
+    if not wide:
+        return last
+    steps = int(math.log1p(seconds / settling_time_s(wide[-1])) / _NARROWING)
+    return max(last, wide[-1] * math.exp(-steps * _NARROWING))
 
 
 class Tracker(Protocol):

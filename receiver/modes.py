@@ -1,0 +1,63 @@
+"""What a channel can be doing, how it may change, and the parameters it goes by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+
+class Mode(Enum):
+    """What a channel is doing."""
+
+    PULL_IN = "pull-in"  # wide FLL and DLL on a fresh acquisition
+    FREQUENCY = "FLL"  # frequency lock; phase is not kept
+    PHASE = "PLL"  # phase lock on whole symbols
+    HOLD = "hold"  # signal gone: generators coast
+    LOST = "lost"
+
+
+# Every change of mode there is; the channel refuses any other.
+TRANSITIONS: dict[Mode, frozenset[Mode]] = {
+    Mode.PULL_IN: frozenset({Mode.FREQUENCY, Mode.LOST}),
+    Mode.FREQUENCY: frozenset({Mode.PHASE, Mode.HOLD}),
+    Mode.PHASE: frozenset({Mode.FREQUENCY, Mode.HOLD}),
+    Mode.HOLD: frozenset({Mode.FREQUENCY, Mode.LOST}),
+    Mode.LOST: frozenset(),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingSettings:
+    """Parameters of a channel, as the config's `tracking` section."""
+
+    carrier_order: int = 3
+    carrier_bandwidth_hz: float = 7.0
+    coherent_periods: int = 20
+    code_order: int = 2
+    code_bandwidths_hz: tuple[float, ...] = (3.0, 1.0, 0.1)
+    spacing_chips: float = 0.25  # early to late
+    phase_threshold_dbhz: float = 28.0
+    frequency_threshold_dbhz: float = 18.0
+    lost_after_s: float = 3.0
+    frequency_bandwidth_hz: float = 1.5
+    pull_in_bandwidth_hz: float = 8.0
+    pull_in_s: float = 0.2
+    record_correlations: bool = False
+
+
+class AidingRate(NamedTuple):
+    """Predicted carrier frequency at a sample and its slope; zeros when there is no aiding."""
+
+    frequency_hz: float
+    rate_hzps: float
+
+
+NO_AIDING = AidingRate(0.0, 0.0)
+AidingSource = Callable[[int], AidingRate]
+
+
+def unaided(_sample: int) -> AidingRate:
+    """Aiding source of a plain receiver."""
+    return NO_AIDING
