@@ -40,4 +40,5 @@ def azimuth_elevation(
     los_n = (satellites_e_m - r_e_m) @ C_ne(lat, lon).T
     horizontal = np.hypot(los_n[:, 0], los_n[:, 1])
     azimuth = np.mod(np.arctan2(los_n[:, 1], los_n[:, 0]), 2.0 * np.pi)
+    azimuth[azimuth == 2.0 * np.pi] = 0.0  # rounded up from just west of north
     return azimuth, np.arctan2(-los_n[:, 2], horizontal)

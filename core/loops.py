@@ -38,12 +38,13 @@ class LoopGains(NamedTuple):
 
 def _observer(order: int, normalized_frequency: float) -> tuple[FloatArray, FloatArray]:
     """Gain K and transition of the error, states in units of T = 1, for ω·T given."""
-    poles = np.exp(np.roots(_PROTOTYPES[order]) * normalized_frequency)
+    # z − 1 instead of z: with slow loops all poles crowd at 1.
+    poles = np.expm1(np.roots(_PROTOTYPES[order]) * normalized_frequency)
     transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])[:order, :order]
     wanted = np.real(np.poly(poles))
     polynomial = np.zeros_like(transition)
     for coefficient in wanted:  # Horner; Ackermann's formula
-        polynomial = polynomial @ transition + coefficient * np.eye(order)
+        polynomial = polynomial @ (transition - np.eye(order)) + coefficient * np.eye(order)
     observability = np.vstack([np.linalg.matrix_power(transition, k)[0] for k in range(order)])
     unit = np.zeros(order)
     unit[-1] = 1.0
@@ -58,7 +59,9 @@ def _sampled_bandwidth(order: int, normalized_frequency: float) -> float:
     """One-sided noise bandwidth × T of the predicted phase at the middle of the interval."""
     gain, error_transition = _observer(order, normalized_frequency)
     transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])[:order, :order]
-    drive = transition @ gain
+    scale = normalized_frequency ** -np.arange(order)  # states of like size: well conditioned
+    drive = scale * (transition @ gain)
+    error_transition = scale[:, np.newaxis] * error_transition / scale
     covariance = solve_discrete_lyapunov(error_transition, np.outer(drive, drive))
     return float(covariance[0, 0]) / 2.0
 

@@ -41,9 +41,12 @@ class GpsTime(NamedTuple):
 
     def plus(self, seconds: float) -> GpsTime:
         """Return the instant `seconds` later."""
-        tow_s = self.tow_s + seconds
-        weeks = math.floor(tow_s / SECONDS_PER_WEEK)
-        return GpsTime(self.week + weeks, tow_s - weeks * SECONDS_PER_WEEK)
+        total_s = self.tow_s + seconds
+        weeks = math.floor(total_s / SECONDS_PER_WEEK)
+        tow_s = total_s - weeks * SECONDS_PER_WEEK
+        if tow_s == SECONDS_PER_WEEK:  # rounded up from just before the week's start
+            weeks, tow_s = weeks + 1, 0.0
+        return GpsTime(self.week + weeks, tow_s)
 
     def since(self, other: GpsTime) -> float:
         """Seconds from `other` to this instant."""
@@ -52,8 +55,10 @@ class GpsTime(NamedTuple):
     def utc(self, leap_seconds: int | None = None) -> datetime:
         """UTC of this instant; leap seconds from the table unless given (broadcast UTC)."""
         gpst = _GPS_EPOCH + timedelta(weeks=self.week, seconds=self.tow_s)
-        leap = leap_seconds_at(gpst) if leap_seconds is None else leap_seconds
-        return gpst - timedelta(seconds=leap)
+        if leap_seconds is None:  # the table is by UTC, which lags: look twice near a new leap
+            latest = timedelta(seconds=leap_seconds_at(gpst))
+            leap_seconds = leap_seconds_at(gpst - latest)
+        return gpst - timedelta(seconds=leap_seconds)
 
     def calendar(self) -> datetime:
         """Calendar date and time counted in GPST (naive: no time zone, no leap seconds)."""
