@@ -39,6 +39,13 @@ def level_table(value_bits: int, packing: Packing) -> Samples:
     return levels.astype(np.int16)
 
 
+def full_scale(stream: StreamFormat) -> int:
+    """Largest magnitude the unpacked samples of a format can have."""
+    if stream.is_packed:
+        return int(np.abs(level_table(stream.value_bits, stream.packing).astype(np.int64)).max())
+    return 128 if stream.format == "int8" else 32768
+
+
 def byte_table(value_bits: int, packing: Packing) -> Samples:
     """Values of each byte in their order in time, shape (256, 8 // value_bits)."""
     byte = np.arange(256)[:, np.newaxis]
