@@ -101,7 +101,7 @@ def survey(read: Reader, signal: Signal, first: int = 0) -> Survey:
     if drift is not None and drift.ratio < -0.5 and drift.ratio + 4.0 * drift.sigma < 0.0:
         findings.append(
             "code phases drift against the Doppler: the spectrum is inverted, or I and Q are"
-            " swapped (spectrum: inverted)"
+            " swapped (spectrum: inverted; for packed samples see packing.order too)"
         )
     if drift is not None and abs(drift.clock_ppm) > 20.0 + 4.0 * drift.sigma:
         findings.append(f"the sample rate is off by {-drift.clock_ppm:+.1f} ppm")

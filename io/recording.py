@@ -178,6 +178,8 @@ class Recording:
         self.close()
 
     def _find(self, stream: int | str) -> _Stream:
+        if not self._sources:
+            raise RecordingError(f"{self._streams[0].origin}: the recording is closed")
         for place, s in enumerate(self._streams):
             if stream in (place, s.info.name):
                 return s

@@ -91,7 +91,7 @@ def unpack_fields(
 def scale_floats(values: NDArray[np.float32], factor: float, scaled: NDArray[np.int16]) -> None:
     """Round `factor` · values to int16 (ties to even), saturated; NaN becomes 0. Shapes (n,)."""
     for k in range(values.size):
-        x = np.rint(values[k] * factor)
+        x = np.rint(np.float64(values[k]) * factor)
         if x >= 32767.0:
             scaled[k] = 32767
         elif x <= -32767.0:

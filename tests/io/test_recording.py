@@ -154,6 +154,9 @@ def test_block_outlives_its_recording(tmp_path: Path) -> None:
     path.write_bytes(bytes(range(20)))
     with Recording([stream()], path) as recording:
         block = recording.read(0, 2, 3)
+        recording.close()
+        with pytest.raises(RecordingError, match="is closed"):
+            recording.read(0, 0, 1)
     assert block.samples.tolist() == [[4, 5], [6, 7], [8, 9]]
 
 
