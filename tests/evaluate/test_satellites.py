@@ -127,6 +127,7 @@ def test_wrong_rate_and_if_are_said(shared_data: Path, keys: dict[str, float], w
     assert any(word in text for text in found.findings)
 
 
+@pytest.mark.slow
 def test_wrong_if_sign_is_said(shared_data: Path) -> None:
     path = shared_data / "real/if/ion-metadata/20170911_1118Z.dat"
     stream = StreamFormat("L1", "int16", "iq", 5e6, L1 + 100e3, 0.0)
