@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import os
 import signal
 import threading
 import traceback
@@ -19,6 +20,11 @@ import click
 
 from deepgnss import __version__
 from deepgnss.core.errors import DeepGnssError
+
+# Set before numpy is loaded: our matrices are small, and threads of the linear algebra library
+# would cost several times what they save, whatever `threads` says.
+for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
 
 EXIT_NOTHING_USABLE = 1
 """The run ended in order but wrote no usable result."""
