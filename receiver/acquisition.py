@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
@@ -62,7 +63,7 @@ class AcquisitionSettings:
 
 @dataclass(frozen=True, slots=True)
 class Acquisition:
-    """Outcome of one satellite's search."""
+    """Outcome of one satellite's search; of one not found, Doppler and code of its highest cell."""
 
     satellite: str
     prn: int
@@ -135,15 +136,23 @@ def _taps(periods: Periods, prn: int, doppler_hz: float, cell: float) -> Complex
     return out
 
 
-def _refine(periods: Periods, prn: int, peak: Peak, coherent: int) -> tuple[float, float, float]:
-    """Doppler in Hz, code phase in chips and C/N0 in dB-Hz from the highest cell on."""
+class _Refined(NamedTuple):
+    """Where a peak stands."""
+
+    doppler_hz: float
+    code_chips: float
+    cn0_dbhz: float
+
+
+def _refine(periods: Periods, prn: int, peak: Peak, coherent: int) -> _Refined:
+    """Fractions of Doppler bin and chip, and the strength, from the highest cell on."""
     signal = periods.signal
     chip = periods.cells / signal.id.code_chips
     doppler_hz, cell = peak.doppler_hz, float(peak.cell)
     # A change of sign in a block moves the highest row; from period to period Doppler is known
     # modulo 1 kHz only.
     span_hz = min(0.75 / coherent, 0.35) / signal.period_s
-    times_s = np.arange(periods.samples.shape[0]) * signal.period_s
+    times_s = np.arange(float(periods.samples.shape[0])) * signal.period_s
     for _ in range(2):
         taps = _taps(periods, prn, doppler_hz, cell)
         fit = fit_symbols(taps[:, 1], times_s, signal.symbol_periods, span_hz)
@@ -156,9 +165,18 @@ def _refine(periods: Periods, prn: int, peak: Peak, coherent: int) -> tuple[floa
     noise = peak.noise / len(taps)  # of one period
     power = float(np.vdot(symbols[:, 1], symbols[:, 1]).real)
     snr = max(power / noise - len(taps), 1e-3) / float(lengths @ lengths)
-    cn0_dbhz = 10.0 * np.log10(snr / signal.period_s)
-    code_chips = (cell / chip + periods.half_sample_chips) % signal.id.code_chips
-    return doppler_hz, float(code_chips), float(cn0_dbhz)
+    return _Refined(doppler_hz, _code_chips(periods, cell), 10.0 * np.log10(snr / signal.period_s))
+
+
+def _unrefined(periods: Periods, peak: Peak, coherent: int) -> _Refined:
+    """The highest cell as it stands, good enough for what is not found."""
+    snr = max(peak.ratio - 1.0, 1e-3) / (coherent * periods.signal.period_s)
+    return _Refined(peak.doppler_hz, _code_chips(periods, peak.cell), 10.0 * np.log10(snr))
+
+
+def _code_chips(periods: Periods, cell: float) -> float:
+    length = periods.signal.id.code_chips
+    return (cell * length / periods.cells + periods.half_sample_chips) % length
 
 
 # --- searches ------------------------------------------------------------------------------------
@@ -173,16 +191,14 @@ def _grid_hz(settings: AcquisitionSettings, window: SearchWindow | None) -> Floa
 
 
 def _search_all(
-    sums: RunningSums,
-    first: int,
-    signal: Signal,
+    periods: Periods,
     prns: Sequence[int],
     settings: AcquisitionSettings,
     window: SearchWindow | None,
     executor: Executor | None,
 ) -> list[Acquisition]:
+    signal = periods.signal
     coherent = round(settings.coherent_s / signal.period_s)
-    periods = cut(sums, first, signal, coherent * settings.noncoherent)
     dopplers_hz = _grid_hz(settings, window)
     searches = [
         GridSearch(periods, prn, dopplers_hz.size, settings.coherent_s, window) for prn in prns
@@ -200,22 +216,31 @@ def _search_all(
     def conclude(search: GridSearch) -> Acquisition:
         peak = search.peak(settings.noncoherent)
         threshold = detection_threshold(settings.false_alarm, peak.cells, settings.noncoherent)
-        doppler_hz, code_chips, cn0_dbhz = _refine(periods, search.prn, peak, coherent)
         found = peak.ratio > threshold
+        place = (
+            _refine(periods, search.prn, peak, coherent)
+            if found
+            else _unrefined(periods, peak, coherent)
+        )
         return Acquisition(
             satellite=signal.satellite(search.prn),
             prn=search.prn,
-            first=first,
-            doppler_hz=doppler_hz,
-            code_chips=code_chips,
+            first=periods.first,
+            doppler_hz=place.doppler_hz,
+            code_chips=place.code_chips,
             peak_ratio=peak.ratio,
             threshold=threshold,
-            cn0_dbhz=cn0_dbhz,
+            cn0_dbhz=place.cn0_dbhz,
             found=found,
             reason="" if found else f"peak {peak.ratio:.2f} × noise, {threshold:.2f} needed",
         )
 
     return list(apply(conclude, searches))
+
+
+def _cut(sums: RunningSums, first: int, signal: Signal, settings: AcquisitionSettings) -> Periods:
+    coherent = round(settings.coherent_s / signal.period_s)
+    return cut(sums, first, signal, coherent * settings.noncoherent)
 
 
 def search(
@@ -230,7 +255,8 @@ def search(
 
     Raises ValueError when the sums do not cover coherent × non-coherent time from `first` on.
     """
-    return _search_all(sums, first, signal, [prn], settings, window, None)[0]
+    periods = _cut(sums, first, signal, settings)
+    return _search_all(periods, [prn], settings, window, None)[0]
 
 
 def cold_search(
@@ -246,7 +272,8 @@ def cold_search(
     Peaks that are cross-correlations of stronger satellites are not reported found. The result
     is the same with or without an executor.
     """
-    results = _search_all(sums, first, signal, prns or signal.prns, settings, None, executor)
+    periods = _cut(sums, first, signal, settings)
+    results = _search_all(periods, prns or signal.prns, settings, None, executor)
     return _screen(results, signal, settings)
 
 
