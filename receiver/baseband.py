@@ -7,7 +7,6 @@ look-ups per tap. Kernels here know samples and chips only, nothing of satellite
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -288,7 +287,7 @@ class RunningSumBuffer:
 
     def __init__(self, stream: StreamInfo, carrier_hz: float, capacity: int) -> None:
         """Room for `capacity` samples; older ones are let go by `keep_from`."""
-        mix_hz = stream.intermediate_hz + carrier_hz - stream.centre_hz
+        mix_hz = stream.intermediate_hz + (carrier_hz - stream.centre_hz)
         turns = math.remainder(mix_hz / stream.sample_rate_hz, 1.0)
         self._increment = round(turns * 2**64) % 2**64
         self._stream = stream
@@ -299,6 +298,7 @@ class RunningSumBuffer:
         self._carrier_hz = carrier_hz
         self._entries = 1
         self._total = 0
+        self._needed = 0
         self.first = 0  # sample of the oldest entry
         self.end = 0  # sample after the newest one summed
 
@@ -315,40 +315,49 @@ class RunningSumBuffer:
         return self._thin
 
     def append(self, block: SampleBlock) -> None:
-        """Sum the next block, which must start where the last one ended."""
+        """Sum the next block, which must start where the last one ended and fit the window."""
         if block.first != self.end:
             raise ValueError(f"block starts at sample {block.first}, expected {self.end}")
         samples = block.samples if block.samples.ndim == 2 else block.samples[:, np.newaxis]
+        self._make_room(samples.shape[0])
         lead = self._thin - self.end % self._thin
         out = self._packed[self._entries :]
-        if self._increment == 0 and samples.shape[1] == 2:
-            self._total, written = sum_complex(samples, self._total, lead, self._thin, out)
-        else:
+        mixed = self._increment != 0 or samples.shape[1] == 1
+        if mixed and self._table is None:
+            amplitude = _AMPLITUDE[samples.dtype.itemsize]
+            self._table = _mixing_table(amplitude)
+            self._scale = 1.0 / amplitude
+        with np.errstate(over="ignore"):  # as plain Python the wrap-around would be remarked on
             if self._table is None:
-                amplitude = _AMPLITUDE[samples.dtype.itemsize]
-                self._table = _mixing_table(amplitude)
-                self._scale = 1.0 / amplitude
-            turn = self._increment * self.end % 2**64
-            self._total, written = sum_mixed(
-                samples,
-                self._total,
-                lead,
-                self._thin,
-                np.uint64(turn),
-                np.uint64(self._increment),
-                self._table,
-                out,
-            )
+                self._total, written = sum_complex(samples, self._total, lead, self._thin, out)
+            else:
+                self._total, written = sum_mixed(
+                    samples,
+                    self._total,
+                    lead,
+                    self._thin,
+                    np.uint64(self._increment * self.end % 2**64),
+                    np.uint64(self._increment),
+                    self._table,
+                    out,
+                )
         self._entries += written
         self.end += samples.shape[0]
 
     def keep_from(self, sample: int) -> None:
-        """Let go of entries before a sample."""
-        drop = min(max(0, (sample - self.first) // self._thin), self._entries - 1)
-        if drop:
-            self._packed[: self._entries - drop] = self._packed[drop : self._entries].copy()
-            self._entries -= drop
-            self.first += drop * self._thin
+        """Samples before this one are not needed any more; their room is used when it runs out."""
+        self._needed = sample
+
+    def _make_room(self, samples: int) -> None:
+        if self._entries + samples // self._thin + 1 <= self._packed.size:
+            return
+        drop = min(max(0, (self._needed - self.first) // self._thin), self._entries - 1)
+        kept = self._packed[drop : self._entries].copy()
+        self._packed[: kept.size] = kept
+        self._entries = kept.size
+        self.first += drop * self._thin
+        if self._entries + samples // self._thin + 1 > self._packed.size:
+            raise ValueError(f"{samples} more samples do not fit the window of running sums")
 
     @property
     def sums(self) -> RunningSums:
@@ -386,7 +395,8 @@ def correlate(
     correlate_periods(
         sums.packed, sums.first, sums.step, sums.sample_rate_hz, command, *runs, taps_chips, out
     )
-    out *= sums.scale
+    if sums.scale != 1.0:
+        out *= sums.scale
     return out
 
 

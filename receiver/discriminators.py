@@ -22,11 +22,9 @@ _TURN = 2.0 * math.pi
 
 def costas_arctan(prompt: complex) -> float:
     """Two-quadrant arctangent: exact within ±¼ cycle, independent of amplitude."""
-    return (
-        math.atan(prompt.imag / prompt.real) / _TURN
-        if prompt.real
-        else math.copysign(0.25, prompt.imag)
-    )
+    if prompt.real == 0.0:
+        return math.copysign(0.25, prompt.imag) if prompt.imag else 0.0
+    return math.atan(prompt.imag / prompt.real) / _TURN
 
 
 def costas_product(prompt: complex) -> float:

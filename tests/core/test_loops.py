@@ -1,4 +1,4 @@
-"""Loop gains by what they do: the recursion the channel runs, fed with impulses, noise and steps."""
+"""Loop gains by what they do: the recursion the channel runs, fed with impulses and steps."""
 
 from __future__ import annotations
 
