@@ -123,7 +123,7 @@ def half_band_hz(block: SampleBlock) -> float:
     return min(_BAND_EDGE * 0.5 * block.stream.sample_rate_hz, _WIDEST_HZ)
 
 
-class _Sums(NamedTuple):
+class TapSums(NamedTuple):
     """Correlations of a snapshot per code period and tap."""
 
     sums: ComplexArray  # (periods, taps)
@@ -131,14 +131,18 @@ class _Sums(NamedTuple):
     noise: float  # mean power of noise in the sum over everything
 
 
-def _correlate(
+def correlate_snapshot(
     block: SampleBlock,
     signal: Signal,
     prn: int,
     doppler_hz: float,
     code_chips: float,
     offsets: FloatArray,
-) -> _Sums:
+) -> TapSums:
+    """Correlate all samples of a block, code period by code period.
+
+    Parameters: code phase at the first sample in [0, code length); offsets of the taps, chips.
+    """
     stream = block.stream
     local = replica(signal.id.name, prn, half_band_hz(block))
     samples = block.samples if block.samples.ndim == 2 else block.samples[:, np.newaxis]
@@ -164,7 +168,7 @@ def _correlate(
     times_s = (ends - 0.5 * counts - 0.5) / stream.sample_rate_hz
     values = samples.astype(np.float64)
     noise = float(np.vdot(values, values)) * local.energy
-    return _Sums(sums[counts > 0], times_s[counts > 0], noise)
+    return TapSums(sums[counts > 0], times_s[counts > 0], noise)
 
 
 def measure(
@@ -184,7 +188,7 @@ def measure(
     around = math.ceil(_REACH_CHIPS / local.offset_chips)
     offsets = np.arange(-around, around + 1) * local.offset_chips
     for attempt in range(4):
-        c = _correlate(block, signal, prn, doppler_hz, code_chips % length, offsets)
+        c = correlate_snapshot(block, signal, prn, doppler_hz, code_chips % length, offsets)
         fit = fit_symbols(c.sums[:, offsets.size // 2], c.times_s, signal.symbol_periods, span_hz)
         taps = fit.strip(c.sums, c.times_s).sum(axis=0)
         doppler_hz += fit.doppler_hz
@@ -228,7 +232,9 @@ def look(
     """
     steps = math.ceil(code_half_chips / _LOOK_CHIPS)
     offsets = np.arange(-steps, steps + 1) * _LOOK_CHIPS
-    c = _correlate(block, signal, prn, doppler_hz, code_chips % signal.id.code_chips, offsets)
+    c = correlate_snapshot(
+        block, signal, prn, doppler_hz, code_chips % signal.id.code_chips, offsets
+    )
     fits = [
         fit_symbols(c.sums[:, tap], c.times_s, signal.symbol_periods, doppler_half_hz)
         for tap in range(offsets.size)

@@ -11,7 +11,7 @@ Which of the two is found out from the Dopplers themselves: all share one offset
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -25,11 +25,24 @@ from deepgnss.core.time import GpsTime
 from deepgnss.receiver import orbits
 from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings, cold_search
 from deepgnss.receiver.baseband import running_sums
+from deepgnss.receiver.bit_timing import (
+    PeriodSums,
+    StampClock,
+    TimeEstimate,
+    TimeEvidence,
+    edge_evidence,
+    nearest_allowed_s,
+)
 from deepgnss.receiver.coarse_time import CodePhase, Rough, SnapshotFix, solve
-from deepgnss.receiver.precise import Measurement, look, measure
+from deepgnss.receiver.precise import Measurement, correlate_snapshot, look, measure
 from deepgnss.receiver.signals import Signal
 from deepgnss.receiver.weights import PvtParameters, delays
 
+_TIME_GAIN = 0.5  # symbol edges must narrow time to this share to be used
+_TIME_FLOOR_S = 1e-4  # of a time known to the millisecond
+_STAMPS_KNOWN_S = 0.5  # of a series' time stamps after the first fix
+_STRIDE_M = 5e3  # from one snapshot of a series to the next
+_DRIFT_CHANGE_SPS = 2e-7
 _LOWEST_RAD = math.radians(3.0)
 _BELOW_HORIZON_RAD = math.radians(-10.0)
 _KNOWN_PLACE_M = 500e3  # a prior this good says which satellites are below the horizon
@@ -71,6 +84,7 @@ class Predicted(NamedTuple):
     code_s: float  # modulo the code period
     doppler_hz: float
     elevation_rad: float
+    travel_s: float  # time of reception minus satellite clock reading
 
 
 def locate(
@@ -85,10 +99,36 @@ def locate(
 
     An invalid solution says what was lacking.
     """
+    single = _single(block, signal, nav, rough, settings, executor)
+    if single.evidence is None:
+        return Snapshot(single.fix, single.searched, single.measured)
+    return _sharpened(single, nav, single.evidence.estimate(), settings.pvt)
+
+
+class _Single(NamedTuple):
+    """A fix with what is needed to repeat it at another time."""
+
+    fix: SnapshotFix
+    searched: tuple[Acquisition, ...]
+    measured: tuple[Measurement, ...]
+    codes: list[CodePhase]
+    near: Rough
+    evidence: TimeEvidence | None  # None without a fix
+
+
+def _single(
+    block: SampleBlock,
+    signal: Signal,
+    nav: NavData,
+    rough: Rough,
+    settings: SnapshotSettings,
+    executor: Executor | None,
+) -> _Single:
+    """Search, measure, solve, look again where the fix predicts, solve again."""
     seconds = len(block.samples) / block.stream.sample_rate_hz
     known = _usable(nav, signal, rough)
     mirror_hz = mirror_doppler_hz(block, signal, settings.doppler_max_hz)
-    searched = _search(block, signal, sorted(known), settings, mirror_hz, executor)
+    searched = tuple(_search(block, signal, sorted(known), settings, mirror_hz, executor))
     found = [
         measure(block, signal, one.prn, one.doppler_hz, one.code_chips)
         for one in searched
@@ -105,20 +145,75 @@ def locate(
             break
     fix, measured = best if best is not None else (solve([], nav, rough, settings.pvt), [])
     if not fix.solution.valid:
-        return Snapshot(fix, tuple(searched), tuple(measured))
+        return _Single(fix, searched, tuple(measured), [], rough, None)
     expected = [
         one
         for one in predict(fix, known, nav, signal, settings.pvt)
         if one.elevation_rad > settings.pvt.elevation_mask_rad
     ]
-    again = [seen for one in expected if (seen := _look(block, signal, one, settings))]
-    near = replace(rough, time=fix.solution.time, r_e_m=fix.solution.r_e_m, position_sigma_m=1000.0)
+    again = tuple(seen for one in expected if (seen := _look(block, signal, one, settings)))
     elevations = {one.prn: one.elevation_rad for one in expected}
     codes = _codes(again, signal, settings, mirror_hz, seconds, elevations)
-    final = solve(codes, nav, near, settings.pvt)
-    if not final.solution.valid:
-        return Snapshot(fix, tuple(searched), tuple(measured))
-    return Snapshot(final, tuple(searched), tuple(again))
+    near = replace(rough, r_e_m=fix.solution.r_e_m, position_sigma_m=1000.0)
+    second = solve(codes, nav, near, settings.pvt)
+    if not second.solution.valid:
+        return _Single(fix, searched, tuple(measured), [], rough, None)
+    evidence = _time_evidence(block, signal, second, again, known, nav, settings)
+    return _Single(second, searched, again, codes, near, evidence)
+
+
+def _sharpened(
+    single: _Single, nav: NavData, estimate: TimeEstimate, pvt: PvtParameters
+) -> Snapshot:
+    """The fix at a time the symbol edges have narrowed, if they have."""
+    fix = single.fix
+    if estimate.sigma_s < _TIME_GAIN * fix.time_sigma_s:
+        rough = replace(
+            single.near,
+            time=fix.solution.time.plus(estimate.correction_s),
+            time_sigma_s=max(estimate.sigma_s, _TIME_FLOOR_S),
+        )
+        sharp = solve(single.codes, nav, rough, pvt)
+        if sharp.solution.valid:
+            fix = sharp
+    return Snapshot(fix, single.searched, single.measured)
+
+
+def locate_series(
+    snapshots: Iterable[tuple[GpsTime, SampleBlock]],
+    signal: Signal,
+    nav: NavData,
+    rough: Rough,
+    settings: SnapshotSettings,
+    executor: Executor | None = None,
+) -> Iterator[Snapshot]:
+    """Fixes of snapshots with time stamps of one clock, e.g. a logger's; each by its own samples.
+
+    Of earlier fixes only this enters: the place to some kilometres and the oscillator to 0.2 ppm,
+    which say where to search and which whole milliseconds are meant, and how wrong the time stamps
+    were, which names the one of the instants, 20 ms apart, that symbol edges leave open. No
+    position or velocity is carried on.
+
+    Parameters: rough, what is known before the first fix; its time is not used.
+    """
+    prior, clock = rough, StampClock()
+    for stamp, block in snapshots:
+        start = stamp.plus(clock.offset_s)
+        single = _single(block, signal, nav, replace(prior, time=start), settings, executor)
+        solution = single.fix.solution
+        if not solution.valid or single.evidence is None:
+            yield Snapshot(single.fix, single.searched, single.measured)
+            continue
+        clock, estimate = clock.after(stamp, solution.time, single.evidence)
+        yield _sharpened(single, nav, estimate, settings.pvt)
+        prior = replace(
+            rough,
+            time_sigma_s=min(_STAMPS_KNOWN_S, rough.time_sigma_s),
+            r_e_m=solution.r_e_m,
+            position_sigma_m=_STRIDE_M,
+            drift_sps=solution.drift_sps,
+            drift_sigma_sps=_DRIFT_CHANGE_SPS,
+        )
 
 
 def predict(
@@ -143,12 +238,11 @@ def predict(
         np.maximum(at.elevation_rad, _LOWEST_RAD),
         carriers_hz,
     )
-    code_s = -(at.pseudorange_m + delay_m) / SPEED_OF_LIGHT_MPS - solution.clock_s
+    travel_s = (at.pseudorange_m + delay_m) / SPEED_OF_LIGHT_MPS
+    code_s = (-travel_s - solution.clock_s) % signal.period_s
     doppler_hz = _dopplers(at.pseudorange_rate_mps, solution.drift_sps, signal)
-    return [
-        Predicted(prn, float(code_s[k] % signal.period_s), float(doppler_hz[k]), float(elevation))
-        for k, (prn, elevation) in enumerate(zip(prns, at.elevation_rad, strict=True))
-    ]
+    columns = (prns, code_s, doppler_hz, at.elevation_rad, travel_s)
+    return [Predicted(int(prn), *map(float, rest)) for prn, *rest in zip(*columns, strict=True)]
 
 
 def mirror_doppler_hz(block: SampleBlock, signal: Signal, reach_hz: float) -> float | None:
@@ -173,6 +267,38 @@ def _look(
         settings.look_hz,
         settings.look_chips,
         settings.false_alarm,
+    )
+
+
+def _time_evidence(
+    block: SampleBlock,
+    signal: Signal,
+    fix: SnapshotFix,
+    measured: Sequence[Measurement],
+    known: dict[int, Ephemeris],
+    nav: NavData,
+    settings: SnapshotSettings,
+) -> TimeEvidence:
+    """What a fix and the symbol edges of its satellites say of the time."""
+    solution = fix.solution
+    time_s = solution.time.tow_s
+    nearest_s = nearest_allowed_s(time_s, solution.clock_s, signal.period_s)
+    expected = {one.prn: one for one in predict(fix, known, nav, signal, settings.pvt)}
+    satellites = []
+    for one in measured:
+        if one.satellite not in solution.used:
+            continue
+        seen = expected[one.prn]
+        c = correlate_snapshot(block, signal, one.prn, seen.doppler_hz, one.code_chips, np.zeros(1))
+        whole = time_s + nearest_s - seen.travel_s - one.code_chips / signal.id.chip_rate_hz
+        satellites.append(
+            PeriodSums(c.sums[:, 0], c.times_s, c.noise, round(whole / signal.period_s))
+        )
+    return TimeEvidence(
+        nearest_s=nearest_s,
+        sigma_s=fix.time_sigma_s,
+        period_s=signal.period_s,
+        edges=edge_evidence(satellites, signal.symbol_periods),
     )
 
 
