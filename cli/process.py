@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 from rich.console import Console
@@ -40,12 +41,12 @@ def process(
     with Recording(formats, recording) as opened, Screen() as screen:
         for line in (*notes(config), *opened.notes):
             screen.note(f"note: {line}")
-        usable = _run(config, plan_run(config, opened.streams), opened, screen)
+        usable = _run(config, plan_run(config, opened.streams), opened, recording.name, screen)
     if not usable:
         raise click.exceptions.Exit(EXIT_NOTHING_USABLE)
 
 
-def _run(config: Config, plan: RunPlan, recording: Recording, screen: Screen) -> bool:
+def _run(config: Config, plan: RunPlan, recording: Recording, name: str, screen: Screen) -> bool:
     """Scout, process, report; True when positions or observations were written."""
     stages_s: dict[str, float] = {}
     with workers(plan.threads) as executor:
@@ -66,12 +67,12 @@ def _run(config: Config, plan: RunPlan, recording: Recording, screen: Screen) ->
                 _show(screen, plan, result)
             receiver = engine.receiver
             outcomes = receiver.accounts.outcomes
-            outputs.finish(receiver.nav, outcomes, {"config": config.model_dump(mode="json")})
+            outputs.finish(receiver.nav, outcomes, {"config": _echo(config)})
     stages_s["processing"] = time.monotonic() - began
     tally = outputs.tally
     if config.output.report and config.output.csv and tally.epochs:
         began = time.monotonic()
-        _draw(config, outputs.folder)
+        _draw(config, outputs.folder, name)
         stages_s["picture"] = time.monotonic() - began
     seconds = (plan.end - plan.first) / plan.stream.sample_rate_hz
     console = Console()
@@ -93,6 +94,11 @@ def _run(config: Config, plan: RunPlan, recording: Recording, screen: Screen) ->
     return tally.epochs > 0
 
 
+def _echo(config: Config) -> dict[str, Any]:
+    """The settings that shaped the result: neither threads nor the folder do."""
+    return config.model_dump(mode="json", exclude={"threads": True, "output": {"directory"}})
+
+
 def _show(screen: Screen, plan: RunPlan, result: StepResult) -> None:
     rate = plan.stream.sample_rate_hz
     solution = result.fixes[-1].solution if result.fixes else None
@@ -106,13 +112,13 @@ def _show(screen: Screen, plan: RunPlan, result: StepResult) -> None:
     )
 
 
-def _draw(config: Config, folder: Path) -> None:
+def _draw(config: Config, folder: Path, name: str) -> None:
     """Overview picture, and errors where there is a truth."""
     from deepgnss.evaluate.errors import errors, evaluate, write_errors, write_statistics
     from deepgnss.evaluate.overview import draw_overview, read_run
     from deepgnss.io.truth import read_truth
 
-    run = read_run(folder, folder.name)
+    run = read_run(folder, name)
     truth = None
     if config.truth is not None:
         truth = read_truth(config.truth.file, config.truth.format)

@@ -93,6 +93,11 @@ class RunningSums:
     sample_rate_hz: float
     centre_hz: float
 
+    @property
+    def end(self) -> int:
+        """Sample after the last one summed."""
+        return self.first + (self.packed.size - 1) * self.step
+
 
 class SampleInstant(NamedTuple):
     """A point on the recording's own time axis: whole sample index and a fraction in [0, 1)."""

@@ -18,14 +18,12 @@ from typing import Protocol
 from deepgnss.core.errors import InputFileError
 from deepgnss.core.records import NavSolution, SampleBlock
 from deepgnss.deep.setup import RunPlan
-from deepgnss.receiver.baseband import RunningSumBuffer
 from deepgnss.receiver.clock import ReceiverClock
+from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.framing import known_symbols
 from deepgnss.receiver.modes import AidingSource
 from deepgnss.receiver.receiver import Knowledge, Receiver, StepResult
 
-_READ_S = 0.02  # samples are read and summed in pieces of this length
-_HISTORY_S = 0.03  # kept of the epoch before: a symbol that began there, and margins
 _SCOUT_LIMIT_S = 120.0
 _SCOUT_AFTER_FIX_S = 6.2  # let a whole subframe pass for satellites that synchronized late
 
@@ -47,12 +45,12 @@ class Engine:
         source: SampleSource,
         knowledge: Knowledge,
         executor: Executor | None,
-        block_s: float = _READ_S,
+        block_s: float | None = None,
     ) -> None:
         """`block_s`: how much is read at a time; no result depends on it."""
         self._plan = plan
         self._source = source
-        self._block = max(1, round(block_s * plan.stream.sample_rate_hz))
+        self._block_s = block_s
         self.receiver = Receiver(
             plan.signal,
             plan.stream.sample_rate_hz,
@@ -66,19 +64,18 @@ class Engine:
         """Run epoch by epoch to the end of the plan."""
         plan = self._plan
         rate = plan.stream.sample_rate_hz
-        history = round(_HISTORY_S * rate)
-        longest = round(plan.epoch_s * rate) + 1
-        sums = RunningSumBuffer(plan.stream, plan.signal.id.carrier_hz, longest + history)
-        sums.restart(plan.first)
+        feed = SumFeed(
+            lambda first, count: self._source.read(plan.stream.name, first, count),
+            plan.stream,
+            plan.signal.id.carrier_hz,
+            plan.first,
+            self._block_s,
+        )
         first, epoch = plan.first, 0
         while first < plan.end:
             epoch += 1
             end = min(plan.first + round(epoch * plan.epoch_s * rate), plan.end)
-            sums.keep_from(first - history)
-            while sums.end < end:
-                count = min(self._block, end - sums.end)
-                sums.append(self._source.read(plan.stream.name, sums.end, count))
-            yield self.receiver.step(sums.sums, first, end, aiding)
+            yield self.receiver.step(feed, first, end, aiding)
             first = end
 
 

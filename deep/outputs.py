@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Protocol, Self, TypeVar
 
 from deepgnss.core.errors import OutputError
 from deepgnss.core.records import NavData, SatelliteOutcome
@@ -28,6 +28,16 @@ from deepgnss.io.tables import (
 )
 from deepgnss.io.tracks import GeoJsonTrack, GpxTrack, KmlTrack
 from deepgnss.receiver.receiver import Fix, Knowledge, StepResult
+
+
+class _Closing(AbstractContextManager["_Closing"], Protocol):
+    """What all writers share."""
+
+    def flush(self) -> None:
+        """Bring what was written to disk."""
+
+
+_W = TypeVar("_W", bound=_Closing)
 
 
 @dataclass(slots=True)
@@ -56,7 +66,8 @@ class Outputs:
         self._config = config
         self._plan = plan
         self._rate = plan.stream.sample_rate_hz
-        self._paths: list[Path] = []
+        self._writers: list[_Closing] = []
+        self._flushed = plan.first
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -67,53 +78,64 @@ class Outputs:
 
     def _open(self, stack: ExitStack, knowledge: Knowledge) -> None:
         output, plan, folder = self._config.output, self._plan, self.folder
+
+        def enter(writer: _W) -> _W:
+            stack.enter_context(writer)
+            self._writers.append(writer)
+            return writer
+
         signals = (plan.signal.id,)
         duration_s = (plan.end - plan.first) / self._rate
         utc = knowledge.nav.utc
         self._obs: RinexObsWriter | None = None
         self._nmea: NmeaWriter | None = None
         self._correlations: CorrelationWriter | None = None
-        self._tables: tuple[Any, ...] = ()
         self._tracks: tuple[Any, ...] = ()
         if output.rinex:
             header = ObsHeader(signals, output.interval, duration_s, knowledge.position_e_m, utc)
-            self._obs = stack.enter_context(RinexObsWriter(folder, header))
+            self._obs = enter(RinexObsWriter(folder, header))
         if output.nmea:
             leap = utc.leap_s if utc is not None else None
-            self._nmea = stack.enter_context(NmeaWriter(folder / "solution.nmea", signals, leap))
+            self._nmea = enter(NmeaWriter(folder / "solution.nmea", signals, leap))
         if output.csv:
-            self._solutions = stack.enter_context(SolutionTable(folder / "solution.csv"))
-            self._satellites = stack.enter_context(SatelliteTable(folder / "satellites.csv"))
-            self._channels = stack.enter_context(ChannelTable(folder / "channels.csv"))
-            self._observations = stack.enter_context(ObservationTable(folder / "observations.csv"))
-            self._events = stack.enter_context(EventTable(folder / "events.csv", self._rate))
+            self._solutions = enter(SolutionTable(folder / "solution.csv"))
+            self._satellites = enter(SatelliteTable(folder / "satellites.csv"))
+            self._channels = enter(ChannelTable(folder / "channels.csv"))
+            self._observations = enter(ObservationTable(folder / "observations.csv"))
+            self._events = enter(EventTable(folder / "events.csv", self._rate))
         if output.report:
             self._tracks = (
-                stack.enter_context(KmlTrack(folder / "track.kml", "deepgnss")),
-                stack.enter_context(GpxTrack(folder / "track.gpx", "deepgnss")),
-                stack.enter_context(GeoJsonTrack(folder / "track.geojson", "deepgnss")),
+                enter(KmlTrack(folder / "track.kml", "deepgnss")),
+                enter(GpxTrack(folder / "track.gpx", "deepgnss")),
+                enter(GeoJsonTrack(folder / "track.geojson", "deepgnss")),
             )
         if output.correlations:
             half = plan.settings.tracking.spacing_chips / 2.0
-            self._correlations = stack.enter_context(
+            self._correlations = enter(
                 CorrelationWriter(folder / "correlations.h5", {signals[0].name: (half, 0.0, -half)})
             )
 
     def write(self, result: StepResult) -> None:
         """Put one step into all files."""
         for fix in result.fixes:
+            if fix.solution.valid and self.tally.first_fix_s is None:
+                self.tally.first_fix_s = fix.epoch.instant.index / self._rate
             if fix.output:
-                self._write_fix(fix, result)
+                self._write_fix(fix)
         if self._config.output.csv:
             time = result.fixes[-1].epoch.time if result.fixes else None
             self._channels.write(result.end / self._rate, time, result.reports)
             self._events.write(result.events)
+        if result.end >= self._flushed + self._rate:  # what is on disk is never older than 1 s
+            self._flushed = result.end
+            for writer in self._writers:
+                writer.flush()
         if self._correlations is not None:
             for satellite, records in result.correlations.items():
                 for record in records:
                     self._correlations.write(satellite, self._plan.signal.id.name, record)
 
-    def _write_fix(self, fix: Fix, result: StepResult) -> None:
+    def _write_fix(self, fix: Fix) -> None:
         tally, solution = self.tally, fix.solution
         tally.epochs += 1
         tally.last = fix
@@ -121,8 +143,6 @@ class Outputs:
         if solution.valid:
             tally.fixed += 1
             tally.last_valid = fix
-            if tally.first_fix_s is None:
-                tally.first_fix_s = fix.epoch.instant.index / self._rate
         if self._obs is not None:
             self._obs.write(fix.epoch)
         if self._nmea is not None:

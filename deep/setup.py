@@ -20,6 +20,7 @@ from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.receiver import Knowledge, ReceiverSettings
 from deepgnss.receiver.signals import SIGNALS, Signal
 
+_SEARCH_MARGIN_S = 0.005  # of an epoch, beyond the sums of a search
 _NAV_REACH_S = 12 * 3600.0  # ephemerides further from the recording than this do not serve it
 
 
@@ -53,6 +54,13 @@ def plan_run(config: Config, streams: tuple[StreamInfo, ...]) -> RunPlan:
         raise ConfigError(
             f"recording.skip: {config.recording.skip} s, but the recording lasts "
             f"{stream.sample_count / stream.sample_rate_hz:.3f} s"
+        )
+    searched_s = config.acquisition.coherent * config.acquisition.noncoherent
+    if searched_s > config.deep.epoch - _SEARCH_MARGIN_S:
+        raise ConfigError(
+            f"acquisition.noncoherent: {config.acquisition.noncoherent} sums of "
+            f"{config.acquisition.coherent} s do not fit an epoch (deep.epoch) of "
+            f"{config.deep.epoch} s"
         )
     return RunPlan(
         signal=signal,

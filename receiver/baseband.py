@@ -198,9 +198,10 @@ def correlate_periods(
     edges: FloatArray,
     signs: FloatArray,
     taps_chips: FloatArray,
+    skip: int,
     out: ComplexArray,
 ) -> None:
-    """Correlate out.shape[0] code periods under one command; period 0 is that at the command.
+    """Correlate out.shape[0] code periods under one command, after `skip` that follow it.
 
     `first` is the sample of packed[0]. Sums stand between samples, so that sample n fills
     [n − ½, n + ½): chip edges are shifted by half a sample to look them up.
@@ -208,7 +209,7 @@ def correlate_periods(
     length = edges[edges.size - 1]
     margin = 4 + int(np.max(np.abs(taps_chips)) * sample_rate_hz / command.code_hz)
     for period in range(out.shape[0]):
-        chips = period * length - command.code_chips
+        chips = (skip + period) * length - command.code_chips
         t = chips / command.code_hz
         t = chips / (command.code_hz + 0.5 * command.code_hzps * t)
         t = chips / (command.code_hz + 0.5 * command.code_hzps * t)
@@ -385,15 +386,29 @@ def running_sums(block: SampleBlock, carrier_hz: float) -> RunningSums:
 
 
 def correlate(
-    sums: RunningSums, command: NcoCommand, runs: CodeRuns, taps_chips: FloatArray, periods: int
+    sums: RunningSums,
+    command: NcoCommand,
+    runs: CodeRuns,
+    taps_chips: FloatArray,
+    periods: int,
+    skip: int = 0,
 ) -> ComplexArray:
-    """Correlate `periods` code periods from the command on with every tap, (periods, taps).
+    """Correlate `periods` code periods with every tap, (periods, taps).
 
-    taps_chips: offset of each local replica, early positive. Scaled to the input's amplitude.
+    Period 0 is that at the command; `skip` periods are left out before the first. taps_chips:
+    offset of each local replica, early positive. Scaled to the input's amplitude.
     """
     out = np.empty((periods, taps_chips.size), dtype=np.complex128)
     correlate_periods(
-        sums.packed, sums.first, sums.step, sums.sample_rate_hz, command, *runs, taps_chips, out
+        sums.packed,
+        sums.first,
+        sums.step,
+        sums.sample_rate_hz,
+        command,
+        *runs,
+        taps_chips,
+        skip,
+        out,
     )
     if sums.scale != 1.0:
         out *= sums.scale

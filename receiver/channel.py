@@ -109,6 +109,7 @@ class Channel:
         self._rate = sample_rate_hz
         self._sample_chips = signal.id.chip_rate_hz / sample_rate_hz
         self._length = float(signal.id.code_chips)
+        self._margin = 4 + int(2.0 * settings.spacing_chips / self._sample_chips)
         self._history = int(_HISTORY_SYMBOLS * signal.symbol_s * sample_rate_hz)
         self._bit_sync: BitSync = start_bit_sync(signal.symbol_periods)
         self._prompts: list[ComplexArray] = []  # of the stretch bit sync works on
@@ -118,15 +119,21 @@ class Channel:
         self._symbol_periods = 0
         self._aiding = NO_AIDING
         self._since = sample  # sample of the last change of mode
-        self._code_since = sample  # sample of the last restart of the code schedule
+        self._carrier_trackers: dict[Mode, Tracker] = {
+            Mode.PULL_IN: FrequencyLock(settings.pull_in_bandwidth_hz),
+            Mode.FREQUENCY: FrequencyLock(
+                settings.frequency_bandwidth_hz, signal.symbol_periods // 4
+            ),
+            Mode.PHASE: PhaseLock(settings.carrier_order, settings.carrier_bandwidth_hz),
+        }
         self._phase_since = sample
         self._phase_valid = False
         self._frequency_error_hz = 0.0
 
+        self._restart_code_loop(sample)
         self.periods = 0
         self._carrier = NcoState(0.0, doppler_hz, 0.0)
         self._code_offset_hz = 0.0
-        self._code_bandwidth_hz = settings.code_bandwidths_hz[0]
         # The first period starts at the next code epoch after the given sample.
         chip_rate = signal.id.chip_rate_hz * (1.0 + doppler_hz / signal.id.carrier_hz)
         wait_s = (self._length - code_chips % self._length) / chip_rate
@@ -134,36 +141,53 @@ class Channel:
         chips = ((start - sample) / sample_rate_hz - wait_s) * chip_rate
         self.command = self._command(start, chips)
         self.history: list[Interval] = [self._interval()]
+        self._plan()
 
     # --- the step ----------------------------------------------------------------------------
 
-    def run(self, sums: RunningSums, until: int, aiding: AidingSource = unaided) -> None:
-        """Track through all intervals that end before sample `until`."""
+    def begin_epoch(self) -> None:
+        """Forget what the epoch before has told, but the commands observables still need."""
         oldest = self.command.sample - self._history
         self.history = [i for i in self.history if i.command.sample >= oldest]
         self.events = []
         self.recorded = []
-        margin = 4 + int(2.0 * self.settings.spacing_chips / self._sample_chips)
+
+    def run(self, sums: RunningSums, aiding: AidingSource = unaided) -> None:
+        """Track as far as the running sums go."""
         while self.mode is not Mode.LOST:
-            periods, coherent = self._plan()
-            middle_s, end_s = self._times(periods)
-            if self.command.sample + int(end_s * self._rate) + margin >= until:
+            if not self._correlate(sums):
                 return
-            seen = self._correlate(sums, periods, coherent)
+            middle_s, end_s = self._times(self._taken.shape[0])
+            seen = self._accumulate()
             self._steer(seen, middle_s, end_s, aiding)
             self._detect(seen)
             self._collect_symbols(seen)
             self._decide(seen)
             self.history.append(self._interval())
+            self._plan()
 
-    def _plan(self) -> tuple[int, bool]:
+    def _plan(self) -> None:
         """Length of the next interval in code periods, and whether it lies within one symbol."""
-        size = self.signal.symbol_periods
-        if self.edge is None:
-            return size, False
-        to_edge = (self.edge - self.periods) % size
-        coherent = self.settings.coherent_periods
-        return (to_edge % coherent or coherent), True
+        periods = self.signal.symbol_periods
+        if self.edge is not None:
+            to_edge = (self.edge - self.periods) % periods
+            periods = to_edge % self._full or self._full
+        self._coherent = self.edge is not None
+        self._taken = np.empty((periods, self._taps.size), dtype=np.complex128)
+        self._filled = 0
+
+    def _correlate(self, sums: RunningSums) -> bool:
+        """Correlate the code periods at hand; True once the interval is complete."""
+        command = self.command
+        there_s = (sums.end - self._margin - command.sample) / self._rate
+        chips = command.code_chips + there_s * (command.code_hz + 0.5 * there_s * command.code_hzps)
+        ready = min(int(chips // self._length), self._taken.shape[0])
+        if ready > self._filled:
+            self._taken[self._filled : ready] = correlate(
+                sums, command, self._runs, self._taps, ready - self._filled, self._filled
+            )
+            self._filled = ready
+        return ready == self._taken.shape[0]
 
     def _times(self, periods: int) -> tuple[float, float]:
         """Middle and end of the next interval, s after the command's sample."""
@@ -175,13 +199,13 @@ class Channel:
 
         return reach(0.5 * periods * self._length), reach(periods * self._length)
 
-    def _correlate(self, sums: RunningSums, periods: int, coherent: bool) -> Accumulated:
-        taps = correlate(sums, self.command, self._runs, self._taps, periods)
+    def _accumulate(self) -> Accumulated:
+        taps, period_s = self._taken, self.signal.period_s
         if self.settings.record_correlations:
-            self.recorded.append(Correlations(self.command.sample, self.signal.period_s, taps))
+            self.recorded.append(Correlations(self.command.sample, period_s, taps))
         early, prompt, late = taps.sum(axis=0).tolist()
-        period_s = self.signal.period_s
-        return Accumulated(taps, early, prompt, late, periods * period_s, period_s, coherent)
+        seconds = taps.shape[0] * period_s
+        return Accumulated(taps, early, prompt, late, seconds, period_s, self._coherent)
 
     def _steer(
         self, seen: Accumulated, middle_s: float, end_s: float, aiding: AidingSource
@@ -206,11 +230,9 @@ class Channel:
         )
         self._aiding = aid
         self._frequency_error_hz += 0.3 * (carrier.frequency - self._frequency_error_hz)
-        bandwidth_hz = self.code_bandwidth_hz
-        if bandwidth_hz < self._code_bandwidth_hz:  # a wide loop's noisy rate must not live on
+        if self._narrow_code_loop():  # a wide loop's noisy rate must not live on
             self._code_offset_hz = 0.0
             code = code._replace(frequency=0.0)
-        self._code_bandwidth_hz = bandwidth_hz
         self._code_offset_hz += code.frequency
         chips = (
             advance(NcoState(command.code_chips, command.code_hz, command.code_hzps), elapsed_s)[0]
@@ -238,31 +260,36 @@ class Channel:
 
     @property
     def _full(self) -> int:
-        return self.signal.symbol_periods if self.edge is None else self.settings.coherent_periods
+        """Periods of an undivided interval; frequency is seen best over whole symbols."""
+        if self.mode is Mode.PHASE:
+            return self.settings.coherent_periods
+        return self.signal.symbol_periods
 
     @property
     def _carrier_tracker(self) -> Tracker:
-        if self.mode is Mode.PHASE:
-            settings = self.settings
-            return PhaseLock(settings.carrier_order, settings.carrier_bandwidth_hz)
-        return FrequencyLock(
-            self.settings.pull_in_bandwidth_hz
-            if self.mode is Mode.PULL_IN
-            else self.settings.frequency_bandwidth_hz
-        )
+        return self._carrier_trackers.get(self.mode, self._carrier_trackers[Mode.FREQUENCY])
 
-    @property
-    def code_bandwidth_hz(self) -> float:
-        """Present bandwidth of the code loop."""
-        seconds = self._seconds_since(self._code_since)
-        return scheduled_bandwidth_hz(self.settings.code_bandwidths_hz, seconds)
+    def _restart_code_loop(self, sample: int) -> None:
+        self._code_since = sample
+        self._code_tracker = self._delay_lock(self.settings.code_bandwidths_hz[0])
 
-    @property
-    def _code_tracker(self) -> Tracker:
+    def _delay_lock(self, bandwidth_hz: float) -> DelayLock:
         settings = self.settings
         return DelayLock(
-            settings.code_order, self.code_bandwidth_hz, settings.spacing_chips, self._sample_chips
+            settings.code_order, bandwidth_hz, settings.spacing_chips, self._sample_chips
         )
+
+    def _narrow_code_loop(self) -> bool:
+        """Follow the bandwidth schedule; True when the loop just became narrower."""
+        schedule = self.settings.code_bandwidths_hz
+        present = self._code_tracker.bandwidth_hz
+        if present == schedule[-1]:
+            return False
+        due = scheduled_bandwidth_hz(schedule, self._seconds_since(self._code_since))
+        if due == present:
+            return False
+        self._code_tracker = self._delay_lock(due)
+        return True
 
     def _seconds_since(self, sample: int) -> float:
         return (self.command.sample - sample) / self._rate
@@ -291,6 +318,8 @@ class Channel:
         """Make known that a symbol starts at a code period of this channel's count."""
         self.edge = period % self.signal.symbol_periods
         self._note("bit sync", reason)
+        if self._filled == 0:
+            self._plan()
 
     def _look_back(self, edge: int) -> None:
         """Demodulate the symbols seen in frequency lock and hand the phase to the phase loop.
@@ -393,7 +422,7 @@ class Channel:
             self._prompts = []
             self._bit_sync = start_bit_sync(self.signal.symbol_periods)
         if self.mode is Mode.HOLD:
-            self._code_since = self.command.sample
+            self._restart_code_loop(self.command.sample)
         self._frequency_error_hz = 0.0
         self.mode = mode
         self._since = self.command.sample
@@ -454,5 +483,5 @@ class Channel:
             carrier_bandwidth_hz=self.settings.carrier_bandwidth_hz
             if phase
             else self.settings.frequency_bandwidth_hz,
-            code_bandwidth_hz=self.code_bandwidth_hz,
+            code_bandwidth_hz=self._code_tracker.bandwidth_hz,
         )

@@ -29,24 +29,13 @@ from deepgnss.core.records import (
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import framing, lnav, pvt
 from deepgnss.receiver.accounts import Accounts
-from deepgnss.receiver.acquisition import (
-    Acquisition,
-    AcquisitionSettings,
-    cold_search,
-    search,
-)
+from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock, from_ns
+from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.modes import AidingSource, Mode, TrackingSettings, unaided
 from deepgnss.receiver.observables import PhaseMemory, observe
-from deepgnss.receiver.search import (
-    Place,
-    SearchSettings,
-    Sight,
-    next_blind,
-    predict_sights,
-    window_of,
-)
+from deepgnss.receiver.search import Place, Searcher, SearchSettings, Sight
 from deepgnss.receiver.signals import Signal
 
 _TRAVEL_S = 0.075  # of a signal, when nothing is known: right to 12 ms
@@ -62,7 +51,8 @@ class ReceiverSettings:
     searching: SearchSettings = field(default_factory=SearchSettings)
     pvt: pvt.PvtParameters = field(default_factory=pvt.PvtParameters)
     output_ns: int = NS  # interval of output epochs
-    solution_ns: int = NS // 10  # interval of positions
+    solution_ns: int = NS // 10  # interval of positions until the first one, and for aiding
+    solve_between_outputs: bool = False  # somebody (a filter) wants a position at that interval
     smoothing: bool = False
 
 
@@ -127,10 +117,7 @@ class Receiver:
         self._frames: dict[int, framing.FrameState] = {}
         self._heads: dict[int, tuple[Channel, lnav.Frame]] = {}
         self._memory: dict[int, PhaseMemory] = {}
-        self._tried: dict[int, int] = {}
-        self._searched_blind = -(10**18)
-        self._searched_predicted = -(10**18)
-        self._started = False
+        self._searcher = Searcher(signal, settings.acquisition, settings.searching, sample_rate_hz)
         self._steered = knowledge.position_e_m is not None and knowledge.clock is not None
         self._last_tag_ns: int | None = None
         self._last_place: tuple[FloatArray, FloatArray] | None = None
@@ -140,15 +127,15 @@ class Receiver:
 
     def step(
         self,
-        sums: RunningSums,
+        feed: SumFeed,
         first: int,
         end: int,
         aiding: Mapping[str, AidingSource] | None = None,
     ) -> StepResult:
-        """Run through samples [first, end); `sums` holds them and a symbol before them."""
+        """Run through samples [first, end), where the feed stands at `first`."""
         self._events = []
-        self._search(sums, first)
-        self._track(sums, end, aiding or {})
+        self._search(feed, first, end)
+        self._track(feed, end, aiding or {})
         subframes = self._read_messages()
         fixes = self._observe(first, end)
         reports = tuple(
@@ -168,19 +155,23 @@ class Receiver:
     def _tracked(self) -> list[Channel]:
         return [self.channels[prn] for prn in sorted(self.channels)]
 
-    def _track(self, sums: RunningSums, end: int, aiding: Mapping[str, AidingSource]) -> None:
+    def _track(self, feed: SumFeed, end: int, aiding: Mapping[str, AidingSource]) -> None:
+        """Run all channels to the end, block by block: its sums are still in the cache."""
         channels = self._tracked()
+        for channel in channels:
+            channel.begin_epoch()
+        shares = [channels[k :: self._workers] for k in range(self._workers)]
 
-        def run(share: list[Channel]) -> None:
+        def run(share: list[Channel], sums: RunningSums) -> None:
             for channel in share:
-                channel.run(sums, end, aiding.get(channel.satellite, unaided))
+                channel.run(sums, aiding.get(channel.satellite, unaided))
 
-        if self._executor is None or self._workers < 2:
-            run(channels)
-        else:
-            shares = [channels[k :: self._workers] for k in range(self._workers)]
-            for done in [self._executor.submit(run, share) for share in shares]:
-                done.result()
+        for sums in feed.advance(end):
+            if self._executor is None:
+                run(channels, sums)
+            else:
+                for task in [self._executor.submit(run, share, sums) for share in shares]:
+                    task.result()
         for channel in channels:
             self._events.extend(channel.events)
             if channel.mode is not Mode.PULL_IN:
@@ -194,6 +185,7 @@ class Receiver:
                 del self.channels[prn]
                 self._heads.pop(prn, None)
                 self._memory.pop(prn, None)
+                self._searcher.lost(prn)
                 reason = channel.events[-1].reason if channel.events else "lost"
                 stage = self.accounts.stage(channel.satellite)
                 self.accounts.advance(channel.satellite, stage, f"lost: {reason}")
@@ -215,46 +207,14 @@ class Receiver:
             return None
         return Place(self.clock.time(sample), r_e_m, v_e_mps, self.clock.drift_sps)
 
-    def _search(self, sums: RunningSums, first: int) -> None:
+    def _search(self, feed: SumFeed, first: int, end: int) -> None:
         """Look for satellites that are not tracked, on the samples that begin this epoch."""
-        settings = self.settings.searching
-        rate = float(self._rate)
+        tracked = frozenset(self.channels)
         place = self._place(first)
-        sights = predict_sights(place, self.nav, self.signal) if place is not None else []
-        known = {int(sight.satellite[1:]) for sight in sights}
-        if (
-            place is not None
-            and first - self._searched_predicted >= settings.predicted_every_s * rate
+        for seen, sight in self._searcher.look(
+            feed, first, end, place, self.nav, tracked, self._executor
         ):
-            self._searched_predicted = first
-            for sight in sights:
-                self._search_predicted(sums, first, place, sight)
-        if not self._started:
-            self._started = True
-            self._searched_blind = first
-            if not sights:
-                prns = [prn for prn in self.signal.prns if prn not in known]
-                found = cold_search(
-                    sums, first, self.signal, self.settings.acquisition, prns, self._executor
-                )
-                for acquisition in found:
-                    self._take(acquisition, first, None)
-        elif first - self._searched_blind >= settings.blind_every_s * rate:
-            self._searched_blind = first
-            busy = frozenset(self.channels) | known
-            prn = next_blind(self.signal.prns, busy, self._tried)
-            if prn is not None:
-                self._tried[prn] = first
-                found = [search(sums, first, self.signal, prn, self.settings.acquisition)]
-                self._take(found[0], first, None)
-
-    def _search_predicted(self, sums: RunningSums, first: int, place: Place, sight: Sight) -> None:
-        prn = int(sight.satellite[1:])
-        if prn in self.channels or sight.elevation_rad < self.settings.searching.below_mask_rad:
-            return
-        window = window_of(sight, place, self.signal, self.settings.searching)
-        seen = search(sums, first, self.signal, prn, self.settings.acquisition, window)
-        self._take(seen, first, sight)
+            self._take(seen, first, sight)
 
     def _take(self, seen: Acquisition, first: int, sight: Sight | None) -> None:
         """Give a found satellite a channel."""
@@ -426,7 +386,9 @@ class Receiver:
             self.clock.origin_ns + round(self.clock.gpst_ns(sample)) for sample in (first, end)
         )
         tags: set[int] = set()
-        for interval in (self.settings.solution_ns, self.settings.output_ns):
+        settings = self.settings
+        needed = self.solution is None or settings.solve_between_outputs
+        for interval in (settings.output_ns, *((settings.solution_ns,) if needed else ())):
             tags.update(range(-(-begin_ns // interval) * interval, end_ns + 1, interval))
         last = self._last_tag_ns
         return sorted(

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
-from deepgnss.core.records import Ephemeris, FloatArray, NavData
+from deepgnss.core.records import Ephemeris, FloatArray, NavData, RunningSums
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import orbits
-from deepgnss.receiver.acquisition import SearchWindow
+from deepgnss.receiver.acquisition import (
+    Acquisition,
+    AcquisitionSettings,
+    SearchWindow,
+    cold_search,
+    search,
+)
+from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.signals import Signal
 
 
@@ -21,7 +29,9 @@ class SearchSettings:
     """How often satellites that are not tracked are looked for."""
 
     predicted_every_s: float = 1.0  # risen or lost ones, in a narrow window
-    blind_every_s: float = 5.0  # one of those nothing is known of
+    patience_s: float = 8.0  # the longest pause between searches for one that stays away
+    blind_every_s: float = 10.0  # one of those nothing is known of
+    blind_unplaced_s: float = 2.0  # the same while the receiver does not know where it is
     below_mask_rad: float = float(np.radians(3.0))  # predicted ones are sought above this
     code_half_m: float = 3000.0  # half width of a predicted window
     doppler_half_hz: float = 120.0
@@ -79,9 +89,112 @@ def window_of(sight: Sight, place: Place, signal: Signal, settings: SearchSettin
     return SearchWindow(sight.doppler_hz, settings.doppler_half_hz, chips, half_chips)
 
 
-def next_blind(
-    prns: Iterable[int], busy: frozenset[int], last_tried: Mapping[int, int]
-) -> int | None:
-    """The satellite not tracked or predicted whose last search lies back longest."""
-    free = [prn for prn in prns if prn not in busy]
-    return min(free, key=lambda prn: (last_tried.get(prn, -1), prn)) if free else None
+class Outcome(NamedTuple):
+    """A search done, and the prediction it went by."""
+
+    seen: Acquisition
+    sight: Sight | None
+
+
+class Searcher:
+    """Decides at each epoch whom to look for; the cost per second of signal is bounded.
+
+    The first epoch searches all satellites (those predicted, once time and place are known).
+    Later on predicted ones that stay away are tried ever less often, and of those nothing is
+    known of, one after the other.
+    """
+
+    def __init__(
+        self,
+        signal: Signal,
+        acquisition: AcquisitionSettings,
+        settings: SearchSettings,
+        sample_rate_hz: float,
+    ) -> None:
+        self._signal = signal
+        self._acquisition = acquisition
+        self._settings = settings
+        self._rate = sample_rate_hz
+        self._began = False
+        self._next_predicted = 0
+        self._next_blind = 0
+        self._due: dict[int, int] = {}  # PRN → sample of its next predicted search
+        self._pause_s: dict[int, float] = {}
+        self._tried: dict[int, int] = {}
+        self._predicted: frozenset[int] = frozenset()
+
+    @property
+    def length_s(self) -> float:
+        """Samples a search needs, s."""
+        acquisition = self._acquisition
+        return acquisition.coherent_s * acquisition.noncoherent + 2.0 * self._signal.period_s
+
+    def lost(self, prn: int) -> None:
+        """A satellite's channel ended: look for it soon again."""
+        self._due.pop(prn, None)
+        self._pause_s.pop(prn, None)
+
+    def look(
+        self,
+        feed: SumFeed,
+        first: int,
+        end: int,
+        place: Place | None,
+        nav: NavData,
+        tracked: frozenset[int],
+        executor: Executor | None,
+    ) -> list[Outcome]:
+        """Search on the samples from `first` on, at most to `end`."""
+        outcomes: list[Outcome] = []
+        count = round(self.length_s * self._rate)
+        if first + count > end:  # the recording ends
+            return outcomes
+
+        @cache
+        def sums() -> RunningSums:
+            return feed.over(first, count)
+
+        if place is not None and first >= self._next_predicted:
+            self._next_predicted = first + round(self._settings.predicted_every_s * self._rate)
+            sights = predict_sights(place, nav, self._signal)
+            self._predicted = frozenset(int(sight.satellite[1:]) for sight in sights)
+            outcomes += [
+                self._in_window(sums(), first, place, sight)
+                for sight in sights
+                if self._wanted(sight, first, tracked)
+            ]
+        unknown = [p for p in self._signal.prns if p not in tracked and p not in self._predicted]
+        if not self._began:
+            if place is None or not self._predicted:
+                found = cold_search(
+                    sums(), first, self._signal, self._acquisition, unknown, executor
+                )
+                outcomes += [Outcome(seen, None) for seen in found]
+        elif first >= self._next_blind and unknown:
+            prn = min(unknown, key=lambda p: (self._tried.get(p, -1), p))
+            self._tried[prn] = first
+            outcomes.append(
+                Outcome(search(sums(), first, self._signal, prn, self._acquisition), None)
+            )
+        if not self._began or first >= self._next_blind:
+            settings = self._settings
+            pause_s = settings.blind_unplaced_s if place is None else settings.blind_every_s
+            self._next_blind = first + round(pause_s * self._rate)
+            self._began = True
+        return outcomes
+
+    def _wanted(self, sight: Sight, first: int, tracked: frozenset[int]) -> bool:
+        prn = int(sight.satellite[1:])
+        return (
+            prn not in tracked
+            and sight.elevation_rad >= self._settings.below_mask_rad
+            and first >= self._due.get(prn, first)
+        )
+
+    def _in_window(self, sums: RunningSums, first: int, place: Place, sight: Sight) -> Outcome:
+        prn = int(sight.satellite[1:])
+        pause_s = self._pause_s.get(prn, self._settings.predicted_every_s)
+        self._due[prn] = first + round(pause_s * self._rate)
+        self._pause_s[prn] = min(2.0 * pause_s, self._settings.patience_s)
+        window = window_of(sight, place, self._signal, self._settings)
+        return Outcome(search(sums, first, self._signal, prn, self._acquisition, window), sight)

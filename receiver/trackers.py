@@ -12,12 +12,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from deepgnss.core.loops import loop_gains, settling_time_s
 from deepgnss.core.records import ComplexArray
 from deepgnss.receiver.discriminators import (
     costas_arctan,
     early_late_slope,
     early_minus_late_envelope,
+    frequency_arctan,
     frequency_squared,
 )
 
@@ -116,16 +119,27 @@ class PhaseLock:
 
 @dataclass(frozen=True, slots=True)
 class FrequencyLock:
-    """FLL on products of neighbouring code periods, two-quadrant: needs no bit edges.
+    """FLL on products of neighbouring sums of a few code periods: needs no bit edges.
 
-    A first-order loop in frequency (the estimate is the mean over the interval).
+    A first-order loop in frequency (the estimate is the mean over the interval). One symbol edge
+    spoils one of the products, which a four-quadrant angle of their total bears; where every
+    period's sign may flip (secondary codes) products are squared. Longer sums bear more noise and
+    less range, ± half their rate.
     """
 
     bandwidth_hz: float
+    sum_periods: int = 1
+    squared: bool = False
 
     def correct(self, seen: Accumulated) -> Correction:
-        """Frequency from the squared products of neighbouring prompts."""
-        error_hz = frequency_squared(seen.periods[:, 1], seen.period_s)
+        """Frequency from products of neighbouring prompts."""
+        prompts, interval_s = seen.periods[:, 1], seen.period_s
+        if self.squared:
+            error_hz = frequency_squared(prompts, interval_s)
+        else:
+            size = max(1, min(self.sum_periods, prompts.size // 2))
+            sums = prompts[: prompts.size // size * size].reshape(-1, size).sum(axis=1)
+            error_hz = frequency_arctan(complex(np.vdot(sums[:-1], sums[1:])), size * interval_s)
         gain = loop_gains(1, self.bandwidth_hz, seen.seconds).phase
         return Correction(0.0, gain * error_hz, 0.0)
 

@@ -1,0 +1,50 @@
+"""Samples on their way into the receiver: running sums, block by block, in the order of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from deepgnss.core.records import RunningSums, SampleBlock, StreamInfo
+from deepgnss.receiver.baseband import RunningSumBuffer, running_sums
+
+ReadSamples = Callable[[int, int], SampleBlock]
+"""Samples [first, first + count) of a stream."""
+
+_CACHED_BYTES = 1_000_000  # of running sums in a block: all channels read them from the cache
+_LONGEST_BLOCK_S = 0.02
+_HISTORY_S = 0.0015  # kept of the block before: a code period that began there, and margins
+
+
+class SumFeed:
+    """The running sums of one stream for one carrier, made once for all channels."""
+
+    def __init__(
+        self,
+        read: ReadSamples,
+        stream: StreamInfo,
+        carrier_hz: float,
+        first: int,
+        block_s: float | None = None,
+    ) -> None:
+        """Start at sample `first`. block_s: length of a block; no result depends on it."""
+        rate = stream.sample_rate_hz
+        if block_s is None:
+            block_s = min(_LONGEST_BLOCK_S, _CACHED_BYTES / (8.0 * rate))
+        self._read = read
+        self._carrier_hz = carrier_hz
+        self._block = max(1, round(block_s * rate))
+        self._history = round(_HISTORY_S * rate)
+        self._buffer = RunningSumBuffer(stream, carrier_hz, 2 * self._history + self._block)
+        self._buffer.restart(first)
+
+    def advance(self, end: int) -> Iterator[RunningSums]:
+        """Go on to sample `end`; each of the sums given holds one more block."""
+        while self._buffer.end < end:
+            count = min(self._block, end - self._buffer.end)
+            self._buffer.keep_from(self._buffer.end - self._history)
+            self._buffer.append(self._read(self._buffer.end, count))
+            yield self._buffer.sums
+
+    def over(self, first: int, count: int) -> RunningSums:
+        """Running sums of samples [first, first + count), wherever they are."""
+        return running_sums(self._read(first, count), self._carrier_hz)
