@@ -25,6 +25,7 @@ from deepgnss.receiver.locks import (
     NO_LOCK,
     cn0_dbhz,
     fast_cn0_dbhz,
+    recent_cn0_dbhz,
     residual_frequency_hz,
     restart_phase,
     update_locks,
@@ -115,6 +116,7 @@ class Channel:
         self._prompts: list[ComplexArray] = []  # of the stretch bit sync works on
         self._prompts_first = 0
         self._bit_sync_first = 0
+        self._pieces: list[ComplexArray] = []  # of a symbol the lock detectors wait for
         self._symbol_sum = 0j
         self._symbol_periods = 0
         self._aiding = NO_AIDING
@@ -297,7 +299,9 @@ class Channel:
     # --- detect, collect, decide -------------------------------------------------------------
 
     def _detect(self, seen: Accumulated) -> None:
-        self.locks = update_locks(self.locks, seen)
+        symbol = self._whole_symbol(seen)
+        if symbol is not None:
+            self.locks = update_locks(self.locks, symbol)
         if self.mode is not Mode.FREQUENCY:
             return
         if not self._prompts:
@@ -313,6 +317,19 @@ class Channel:
             if edge is not None:
                 symbols = self._bit_sync.symbols
                 self.set_edge(self._bit_sync_first + edge, f"energy of {symbols} symbols")
+
+    def _whole_symbol(self, seen: Accumulated) -> Accumulated | None:
+        """Intervals put together to a symbol for the lock detectors; None while it is not full."""
+        size = self.signal.symbol_periods
+        if self.edge is None or seen.periods.shape[0] == size:
+            return seen
+        self._pieces.append(seen.periods)
+        if (self.periods - self.edge) % size:
+            return None
+        taps, self._pieces = np.concatenate(self._pieces), []
+        early, prompt, late = taps.sum(axis=0).tolist()
+        seconds = taps.shape[0] * seen.period_s
+        return Accumulated(taps, early, prompt, late, seconds, seen.period_s, seen.coherent)
 
     def set_edge(self, period: int, reason: str) -> None:
         """Make known that a symbol starts at a code period of this channel's count."""
@@ -355,7 +372,10 @@ class Channel:
         here_s = self._seconds_since(self._since)
         cn0 = cn0_dbhz(self.locks, seen.period_s)
         fast = fast_cn0_dbhz(self.locks, seen.period_s)
-        gone = fast < settings.phase_threshold_dbhz - 4.0
+        weak = settings.phase_threshold_dbhz - 4.0
+        if cn0 > weak + 10.0:
+            fast = min(fast, recent_cn0_dbhz(self.locks, seen.period_s))
+        gone = fast < weak
         match self.mode:
             case Mode.PULL_IN:
                 if here_s >= settings.pull_in_s and gone:
@@ -391,27 +411,35 @@ class Channel:
             self._go(Mode.HOLD, f"C/N0 fell to {fast_dbhz:.1f} dB-Hz")
         elif here_s > 0.5 and indicator < 0.4:
             self._go(Mode.FREQUENCY, f"phase lock lost: mean cos 2φ {indicator:.2f}")
-        elif not self._phase_valid and here_s > 0.2 and indicator > 0.8:
+        elif here_s > 0.2 and indicator > 0.8:
             off_hz = residual_frequency_hz(self.locks, self.signal.period_s)
             step_hz = 0.5 / self.signal.symbol_s
             if abs(off_hz) > 0.5 * step_hz:  # Costas loops also lock at multiples of 25 Hz
-                false_hz = step_hz * round(off_hz / step_hz)
-                self._carrier = self._carrier._replace(frequency=self._carrier.frequency + false_hz)
-                self.command = self._command(self.command.sample, self.command.code_chips)
-                self.locks = restart_phase(self.locks)
-                self._note("false lock", f"frequency moved by {false_hz:+.0f} Hz")
-            else:
+                self._leave_false_lock(step_hz * round(off_hz / step_hz))
+            elif not self._phase_valid:
                 self._phase_valid = True
                 self._phase_since = self.command.sample
                 self._note("phase lock", f"mean cos 2φ {indicator:.2f}")
+
+    def _leave_false_lock(self, off_hz: float) -> None:
+        self._forget_phase()
+        self._carrier = self._carrier._replace(frequency=self._carrier.frequency + off_hz)
+        self.command = self._command(self.command.sample, self.command.code_chips)
+        self.locks = restart_phase(self.locks)
+        self._since = self.command.sample
+        self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
+
+    def _forget_phase(self) -> None:
+        """Phase continues with an unknown number of cycles and an unknown polarity."""
+        self.slips += 1
+        self.half_cycle = None
+        self._phase_valid = False
 
     def _go(self, mode: Mode, reason: str) -> None:
         if mode not in TRANSITIONS[self.mode]:
             raise ValueError(f"{self.satellite}: no way from {self.mode.name} to {mode.name}")
         if self.mode is Mode.PHASE:
-            self.slips += 1
-            self.half_cycle = None
-            self._phase_valid = False
+            self._forget_phase()
         if mode is Mode.PHASE and self.edge is not None:
             self._look_back(self.edge)
             self.locks = restart_phase(self.locks)

@@ -12,6 +12,7 @@ from deepgnss.receiver.trackers import Accumulated
 
 _SLOW_S = 1.0  # averaging of the reported C/N0
 _FAST_S = 0.1  # averaging that notices a blockage
+_RECENT = 5  # intervals that notice the blockage of a strong signal
 _PHASE_S = 0.4  # averaging of the phase-lock indicator
 
 
@@ -21,13 +22,14 @@ class LockState(NamedTuple):
     seconds: float
     signal: float
     fast_signal: float
+    recent: tuple[float, ...]  # signal of the last intervals
     noise: float
     phase: float  # mean cos 2φ of a phase loop
     phase_seconds: float  # since its start
     products: complex  # mean product of neighbouring prompts within symbols
 
 
-NO_LOCK = LockState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0j)
+NO_LOCK = LockState(0.0, 0.0, 0.0, (), 0.0, 0.0, 0.0, 0j)
 
 
 def restart_phase(state: LockState) -> LockState:
@@ -68,6 +70,7 @@ def update_locks(state: LockState, seen: Accumulated) -> LockState:
         seconds,
         state.signal + slow * (signal - state.signal),
         state.fast_signal + fast * (signal - state.fast_signal),
+        (*state.recent, signal)[-_RECENT:],
         state.noise + slow * (noise - state.noise),
         phase,
         phase_seconds,
@@ -89,6 +92,17 @@ def cn0_dbhz(state: LockState, period_s: float) -> float:
 def fast_cn0_dbhz(state: LockState, period_s: float) -> float:
     """C/N0 of the last tenth of a second against the noise of the last second."""
     return _cn0_dbhz(state.fast_signal, state.noise, period_s)
+
+
+def recent_cn0_dbhz(state: LockState, period_s: float) -> float:
+    """C/N0 of the last five intervals alone.
+
+    It falls within 0.1 s where a forgetting average of a strong signal needs half a second, and
+    scatters more: for signals far above the limit only.
+    """
+    if not state.recent:
+        return 0.0
+    return _cn0_dbhz(sum(state.recent) / len(state.recent), state.noise, period_s)
 
 
 def residual_frequency_hz(state: LockState, period_s: float) -> float:
