@@ -312,11 +312,13 @@ class Channel:
         if self.edge is None:
             first = self._prompts_first if self._bit_sync.symbols == 0 else self._bit_sync_first
             self._bit_sync_first = first
-            self._bit_sync = add_prompts(self._bit_sync, seen.periods[:, 1])
+            self._bit_sync = add_prompts(
+                self._bit_sync, seen.periods[:, 1], self.locks.signal, self.locks.noise
+            )
             edge = symbol_edge(self._bit_sync)
             if edge is not None:
                 symbols = self._bit_sync.symbols
-                self.set_edge(self._bit_sync_first + edge, f"energy of {symbols} symbols")
+                self.set_edge(self._bit_sync_first + edge, f"{symbols} symbols")
 
     def _whole_symbol(self, seen: Accumulated) -> Accumulated | None:
         """Intervals put together to a symbol for the lock detectors; None while it is not full."""

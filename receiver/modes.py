@@ -43,7 +43,7 @@ class TrackingSettings:
     lost_after_s: float = 3.0
     frequency_bandwidth_hz: float = 1.5
     pull_in_bandwidth_hz: float = 8.0
-    pull_in_s: float = 0.2
+    pull_in_s: float = 0.12
     record_correlations: bool = False
 
 

@@ -1,4 +1,4 @@
-"""Bit synchronization by energy, T(5.16–5.17), and the bits that went by before it."""
+"""Bit synchronization, T(5.16–5.17), and the bits that went by before it."""
 
 from __future__ import annotations
 
@@ -7,64 +7,56 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import i0e
 
 from deepgnss.core.records import ComplexArray, FloatArray
 
 
 class BitSync(NamedTuple):
-    """Energies of the symbol-long sums for each possible edge, and what is not summed yet."""
+    """Log-likelihood of each possible edge, and what is not summed yet."""
 
-    energy: FloatArray  # (periods per symbol,)
-    spread: FloatArray  # (edges, edges): sum of squared energy differences, for their noise
+    likelihood: FloatArray  # (periods per symbol,)
     symbols: int
     pending: ComplexArray  # prompts of the last, incomplete stretch
 
 
 def start_bit_sync(symbol_periods: int) -> BitSync:
     """Empty state."""
-    return BitSync(
-        np.zeros(symbol_periods),
-        np.zeros((symbol_periods, symbol_periods)),
-        0,
-        np.empty(0, dtype=np.complex128),
-    )
+    return BitSync(np.zeros(symbol_periods), 0, np.empty(0, dtype=np.complex128))
 
 
-def add_prompts(state: BitSync, prompts: ComplexArray) -> BitSync:
+def add_prompts(
+    state: BitSync, prompts: ComplexArray, signal_power: float, noise_power: float
+) -> BitSync:
     """Add prompts (n,) of consecutive code periods; every symbol length adds one sum per edge.
 
-    energy[p] belongs to symbols that start at period p, 2·… counted from the first prompt.
+    The likelihood of a symbol-long sum S of unknown phase is I₀(A|S|/σ²), A² the signal's and 2σ²
+    the noise's power in one period. For weak signals its logarithm is their energy, T(5.16–5.17);
+    for strong ones it counts the few symbol changes there were for what they are worth.
+    likelihood[p] belongs to symbols that start at period p, counted from the first prompt.
     """
-    size = state.energy.size
+    size = state.likelihood.size
     waiting = np.concatenate([state.pending, prompts])
-    energy, spread, symbols = state.energy, state.spread, state.symbols
+    likelihood, symbols = state.likelihood, state.symbols
+    scale = 2.0 * math.sqrt(max(signal_power, 0.0)) / noise_power if noise_power > 0.0 else 0.0
     while waiting.size >= 2 * size:
         total = np.concatenate([[0.0], np.cumsum(waiting[: 2 * size])])
-        sums = total[size : 2 * size] - total[:size]
-        power = sums.real**2 + sums.imag**2
-        energy = energy + power
-        difference = power[:, np.newaxis] - power[np.newaxis, :]
-        spread = spread + difference**2
+        argument = scale * np.abs(total[size : 2 * size] - total[:size])
+        likelihood = likelihood + argument + np.log(i0e(argument))
         symbols += 1
         waiting = waiting[size:]
-    return BitSync(energy, spread, symbols, waiting)
+    return BitSync(likelihood, symbols, waiting)
 
 
-def symbol_edge(state: BitSync, sigmas: float = 4.0, minimum: int = 8) -> int | None:
+def symbol_edge(state: BitSync, lead: float = 18.0, minimum: int = 6) -> int | None:
     """Period of the symbol edge (mod symbol length) once it stands out, else None.
 
-    The best edge must exceed every other by `sigmas` standard deviations of their difference,
-    which come from the scatter of the sums themselves: strong signals need few symbols.
+    `lead`: how much more likely (natural logarithm) it must be than any other.
     """
     if state.symbols < minimum:
         return None
-    best = int(np.argmax(state.energy))
-    others = np.arange(state.energy.size) != best
-    lead = state.energy[best] - state.energy[others]
-    mean = lead / state.symbols
-    variance = state.spread[best, others] / state.symbols - mean**2
-    sigma = np.sqrt(np.maximum(variance, 0.0) * state.symbols)
-    return best if bool(np.all(lead > sigmas * sigma)) and bool(np.all(lead > 0.0)) else None
+    second, best = np.sort(state.likelihood)[-2:]
+    return int(np.argmax(state.likelihood)) if best - second > lead else None
 
 
 class Demodulated(NamedTuple):
