@@ -31,6 +31,7 @@ _SLOWEST_HZ = 0.6e6  # sampling that still holds a signal
 _PEAKS = 60  # of the autocorrelation, for guesses of the period
 _CLEAR_COMB = 5.0  # mean height of its multiples, σ; noise alone gives 1.8
 _WIDE_HZ = 25e3
+_CLOCK_PPM = 0.5  # code against carrier: more than any oscillator makes
 _USUAL_HZ = 6e3  # Doppler of satellites plus that of a good oscillator
 
 
@@ -54,6 +55,8 @@ class Survey:
     found: tuple[Acquisition, ...]
     drift: Drift | None
     findings: tuple[str, ...]
+    repeats_hz: float | None = None  # the sample rate at which codes repeat, when it is another
+    explained: bool = True  # the findings say what to change
 
 
 def signals_within(stream: StreamInfo) -> list[Signal]:
@@ -82,30 +85,47 @@ def survey(read: Reader, signal: Signal, first: int = 0) -> Survey:
                 f"codes repeat every {rate_hz * signal.period_s:.10g} samples: a sample rate of"
                 f" {rate_hz:.10g} Hz, or another number of values per sample (format, real or iq)?"
             )
-            return Survey(signal, (), None, (text,))
+            turns = abs(math.log2(rate_hz / block.stream.sample_rate_hz))
+            doubtful = turns > 0.5 and abs(turns - round(turns)) < 0.01  # values lost or made up
+            return Survey(signal, (), None, (text,), rate_hz, explained=not doubtful)
         for changed, text in _alternatives(block):
-            if _convincing(find_satellites(changed, signal)):
+            if convincing(find_satellites(changed, signal)):
                 return Survey(signal, (), None, (text,))
         found = find_satellites(block, signal, _WIDE_HZ)
-        if not _convincing(found):
+        if not convincing(found):
             text = "no satellites: no antenna, a wrong format, or a wrong intermediate frequency?"
-            return Survey(signal, (), None, (text,))
-    findings = []
-    centre_hz = float(np.median([one.doppler_hz for one in found]))
-    if len(found) >= 2 and abs(centre_hz) > _USUAL_HZ / 2.0:
-        findings.append(
-            f"Dopplers centre on {centre_hz:+.0f} Hz: the oscillator or the intermediate frequency"
-            " is off by that"
-        )
+            return Survey(signal, (), None, (text,), explained=False)
     drift = _drift(read, first, signal, found)
+    findings = tuple(_judgements(block.stream, signal, found, drift))
+    return Survey(signal, tuple(found), drift, findings)
+
+
+def _judgements(
+    stream: StreamInfo, signal: Signal, found: Sequence[Acquisition], drift: Drift | None
+) -> Iterator[str]:
+    """What Dopplers, and code against carrier, say of the description."""
+    centre_hz = float(np.median([one.doppler_hz for one in found]))
     if drift is not None and drift.ratio < -0.5 and drift.ratio + 4.0 * drift.sigma < 0.0:
-        findings.append(
+        yield (
             "code phases drift against the Doppler: the spectrum is inverted, or I and Q are"
             " swapped (spectrum: inverted; for packed samples see packing.order too)"
         )
-    if drift is not None and abs(drift.clock_ppm) > 20.0 + 4.0 * drift.sigma:
-        findings.append(f"the sample rate is off by {-drift.clock_ppm:+.1f} ppm")
-    return Survey(signal, tuple(found), drift, tuple(findings))
+    elif drift is not None and abs(drift.clock_ppm) > _CLOCK_PPM + 4.0 * drift.sigma:
+        # An oscillator that is off moves code and carrier alike; these two errors do not.
+        off_ppm = -drift.clock_ppm
+        off_hz = off_ppm * 1e-6 * signal.id.carrier_hz
+        rate = f"the sample rate is {stream.sample_rate_hz * (1.0 + off_ppm * 1e-6):.0f} Hz"
+        place = f"the intermediate frequency is {stream.intermediate_hz + off_hz:.0f} Hz"
+        if abs(off_hz) < _USUAL_HZ:
+            causes = f"{rate}, or {place}"
+        else:  # Dopplers then tell which
+            causes = place if abs(centre_hz - off_hz) < _USUAL_HZ else rate
+        yield f"codes run {drift.clock_ppm:+.2f} ppm against the carriers: {causes}"
+    elif len(found) >= 2 and abs(centre_hz) > _USUAL_HZ / 2.0:
+        yield (
+            f"Dopplers centre on {centre_hz:+.0f} Hz: the oscillator or the intermediate frequency"
+            " is off by that"
+        )
 
 
 def find_satellites(
@@ -226,7 +246,7 @@ def _moved(block: SampleBlock, intermediate_hz: float) -> SampleBlock:
     return replace(block, stream=replace(block.stream, intermediate_hz=intermediate_hz))
 
 
-def _convincing(found: Sequence[Acquisition]) -> bool:
+def convincing(found: Sequence[Acquisition]) -> bool:
     """Two satellites, or one far above the threshold: no matter of chance."""
     return len(found) >= 2 or any(one.peak_ratio > 2.0 * one.threshold for one in found)
 
