@@ -37,6 +37,9 @@ class ByteSource(Protocol):
         ...
 
 
+_RESIDENT_BYTES = 64_000_000  # of a mapped file, before its pages are given back
+
+
 class FileBytes:
     """A memory-mapped file. Reads are views of the file, written to by nobody.
 
@@ -53,6 +56,7 @@ class FileBytes:
             raise RecordingError(f"{path}: the recording is empty (0 bytes)")
         self._map = mmap.mmap(self._file.fileno(), self.size, access=mmap.ACCESS_COPY)
         self._bytes = np.frombuffer(self._map, np.uint8)
+        self._resident = 0
 
     def read(self, first: int, last: int) -> Bytes:
         """Bytes [first, last), a view; a file that shrank meanwhile is an error."""
@@ -61,6 +65,12 @@ class FileBytes:
             raise RecordingError(
                 f"{self._path}: shrank from {self.size} to {size} bytes while it was read"
             )
+        self._resident += last - first
+        if self._resident > _RESIDENT_BYTES and hasattr(mmap, "MADV_DONTNEED"):
+            # Pages read so far count as this program's memory until they are given back; blocks
+            # handed out stay good: what is looked at again comes back from the file.
+            self._map.madvise(mmap.MADV_DONTNEED)
+            self._resident = last - first
         return self._bytes[first:last]
 
     def close(self) -> None:
