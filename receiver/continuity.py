@@ -286,7 +286,7 @@ def _place(scene: _Scene, before: _Probe, after: _Probe) -> SampleSlip:
     step = max(1, int(scene.period_samples / _STEPS_PER_PERIOD))
     old = [_pieces(scene, block, track, before.shift_chips or 0.0, step) for track in scene.tracks]
     new = [_pieces(scene, block, track, after.shift_chips or 0.0, step) for track in scene.tracks]
-    score = np.zeros(old[0][0].size + 1)
+    score: FloatArray = np.zeros(old[0][0].size + 1)
     for (old_sums, noise), (new_sums, _) in zip(old, new, strict=True):
         head = np.concatenate([[0.0], np.cumsum(old_sums)])
         tail = np.concatenate([[0.0], np.cumsum(new_sums)])
@@ -316,8 +316,8 @@ def _pieces(
     values = samples[:, 0] + 1j * samples[:, 1] if samples.ndim == 2 else samples
     n = np.arange(values.size)
     rate = signal.id.chip_rate_hz * (1.0 + track.doppler_hz / signal.id.carrier_hz)
-    chips = track.code_at(block.first, stream, signal) + shift_chips
-    chips = (chips + n * (rate / stream.sample_rate_hz)) % signal.id.code_chips
+    start_chips = track.code_at(block.first, stream, signal) + shift_chips
+    chips = (start_chips + n * (rate / stream.sample_rate_hz)) % signal.id.code_chips
     places = chips * ((table.size - 1) / signal.id.code_chips)
     mix_hz = stream.intermediate_hz + signal.id.carrier_hz - stream.centre_hz + track.doppler_hz
     turn = np.exp(-2j * np.pi * (mix_hz / stream.sample_rate_hz) * n)

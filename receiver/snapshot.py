@@ -23,7 +23,13 @@ from deepgnss.core.frames import ecef
 from deepgnss.core.records import Ephemeris, FloatArray, NavData, SampleBlock
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import orbits
-from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings, cold_search
+from deepgnss.receiver.acquisition import (
+    Acquisition,
+    AcquisitionSettings,
+    SearchWindow,
+    cold_search,
+    search,
+)
 from deepgnss.receiver.baseband import running_sums
 from deepgnss.receiver.bit_timing import (
     PeriodSums,
@@ -43,6 +49,9 @@ _TIME_FLOOR_S = 1e-4  # of a time known to the millisecond
 _STAMPS_KNOWN_S = 0.5  # of a series' time stamps after the first fix
 _STRIDE_M = 5e3  # from one snapshot of a series to the next
 _DRIFT_CHANGE_SPS = 2e-7
+_RANGE_RATE_MPS = 1000.0  # fastest change of a range, of a wrong time
+_WIDEST_WINDOW = 0.2  # of the code's length, for searches beside satellites found
+_BESIDE_HZ = 60.0
 _LOWEST_RAD = math.radians(3.0)
 _BELOW_HORIZON_RAD = math.radians(-10.0)
 _KNOWN_PLACE_M = 500e3  # a prior this good says which satellites are below the horizon
@@ -136,6 +145,7 @@ def _single(
     ]
     best: tuple[SnapshotFix, list[Measurement]] | None = None
     for measured in _sides(found, known, signal, rough, mirror_hz):
+        measured += _beside(block, signal, measured, known, nav, rough, settings)
         fix = solve(
             _codes(measured, signal, settings, mirror_hz, seconds), nav, rough, settings.pvt
         )
@@ -225,22 +235,39 @@ def predict(
 ) -> list[Predicted]:
     """Code phase and Doppler of satellites at the instant of a fix."""
     solution = fix.solution
-    prns = sorted(known)
-    ephemerides = [known[prn] for prn in prns]
-    at = orbits.predict(ephemerides, solution.time, solution.r_e_m, solution.v_e_mps)
-    carriers_hz = np.full(len(prns), signal.id.carrier_hz)
-    delay_m, _ = delays(
+    return _expect(
+        known,
         nav,
+        signal,
         parameters,
         solution.time,
         solution.r_e_m,
-        at.azimuth_rad,
-        np.maximum(at.elevation_rad, _LOWEST_RAD),
-        carriers_hz,
+        solution.v_e_mps,
+        solution.clock_s,
+        solution.drift_sps,
     )
+
+
+def _expect(
+    known: dict[int, Ephemeris],
+    nav: NavData,
+    signal: Signal,
+    parameters: PvtParameters,
+    time: GpsTime,
+    r_e_m: FloatArray,
+    v_e_mps: FloatArray | None = None,
+    clock_s: float = 0.0,
+    drift_sps: float = 0.0,
+) -> list[Predicted]:
+    prns = sorted(known)
+    ephemerides = [known[prn] for prn in prns]
+    at = orbits.predict(ephemerides, time, r_e_m, np.zeros(3) if v_e_mps is None else v_e_mps)
+    carriers_hz = np.full(len(prns), signal.id.carrier_hz)
+    elevation_rad = np.maximum(at.elevation_rad, _LOWEST_RAD)
+    delay_m, _ = delays(nav, parameters, time, r_e_m, at.azimuth_rad, elevation_rad, carriers_hz)
     travel_s = (at.pseudorange_m + delay_m) / SPEED_OF_LIGHT_MPS
-    code_s = (-travel_s - solution.clock_s) % signal.period_s
-    doppler_hz = _dopplers(at.pseudorange_rate_mps, solution.drift_sps, signal)
+    code_s = (-travel_s - clock_s) % signal.period_s
+    doppler_hz = _dopplers(at.pseudorange_rate_mps, drift_sps, signal)
     columns = (prns, code_s, doppler_hz, at.elevation_rad, travel_s)
     return [Predicted(int(prn), *map(float, rest)) for prn, *rest in zip(*columns, strict=True)]
 
@@ -327,26 +354,82 @@ def _search(
     mirror_hz: float | None,
     executor: Executor | None,
 ) -> list[Acquisition]:
-    """Search with all of the data: half of it coherently, 10 ms at most."""
-    stream = block.stream
-    periods = int(len(block.samples) / stream.sample_rate_hz / signal.period_s + 1e-6)
-    if periods == 0 or not prns:
+    """Cold search; of Dopplers that a mirror doubles one side is enough."""
+    acquisition = _acquisition(block, signal, settings)
+    if acquisition.noncoherent == 0 or not prns:
         return []
-    longest = max(1, signal.symbol_periods // 2)
-    coherent = max(1, min(longest, periods // 2))
-    low_hz = settings.doppler_centre_hz - settings.doppler_max_hz
-    high_hz = settings.doppler_centre_hz + settings.doppler_max_hz
     if mirror_hz is not None:
-        low_hz, high_hz = mirror_hz, max(high_hz, 2.0 * mirror_hz - low_hz)
-    acquisition = AcquisitionSettings(
-        doppler_max_hz=0.5 * (high_hz - low_hz),
-        doppler_centre_hz=0.5 * (high_hz + low_hz),
+        low_hz = settings.doppler_centre_hz - settings.doppler_max_hz
+        high_hz = settings.doppler_centre_hz + settings.doppler_max_hz
+        high_hz = max(high_hz, 2.0 * mirror_hz - low_hz)
+        acquisition = replace(
+            acquisition,
+            doppler_max_hz=0.5 * (high_hz - mirror_hz),
+            doppler_centre_hz=0.5 * (high_hz + mirror_hz),
+        )
+    sums = running_sums(block, signal.id.carrier_hz)
+    return cold_search(sums, block.first, signal, acquisition, prns, executor)
+
+
+def _beside(
+    block: SampleBlock,
+    signal: Signal,
+    found: Sequence[Measurement],
+    known: dict[int, Ephemeris],
+    nav: NavData,
+    rough: Rough,
+    settings: SnapshotSettings,
+) -> list[Measurement]:
+    """Further satellites, sought where a known place lets them be expected beside those found."""
+    if rough.r_e_m is None or not found:
+        return []
+    apart_m = 2.0 * rough.position_sigma_m + _RANGE_RATE_MPS * rough.time_sigma_s
+    half_chips = apart_m / SPEED_OF_LIGHT_MPS * signal.id.chip_rate_hz
+    if half_chips > _WIDEST_WINDOW * signal.id.code_chips:
+        return []
+    expected = _expect(known, nav, signal, settings.pvt, rough.time, rough.r_e_m)
+    here = {one.prn: one for one in expected}
+    first = max(found, key=lambda one: one.cn0_dbhz)
+    offset_hz = float(np.median([one.doppler_hz - here[one.prn].doppler_hz for one in found]))
+    offset_chips = first.code_chips - here[first.prn].code_s * signal.id.chip_rate_hz
+    windows = {
+        one.prn: SearchWindow(
+            one.doppler_hz + offset_hz,
+            _BESIDE_HZ,
+            (one.code_s * signal.id.chip_rate_hz + offset_chips) % signal.id.code_chips,
+            half_chips,
+        )
+        for one in expected
+        if one.elevation_rad > settings.pvt.elevation_mask_rad
+        and one.prn not in {other.prn for other in found}
+    }
+    sums = running_sums(block, signal.id.carrier_hz)
+    acquisition = _acquisition(block, signal, settings)
+    searched = [
+        search(sums, block.first, signal, prn, acquisition, window)
+        for prn, window in windows.items()
+    ]
+    return [
+        measure(block, signal, one.prn, one.doppler_hz, one.code_chips)
+        for one in searched
+        if one.found
+    ]
+
+
+def _acquisition(
+    block: SampleBlock, signal: Signal, settings: SnapshotSettings
+) -> AcquisitionSettings:
+    """Search with all of the data: half of it coherently, half a symbol at most."""
+    seconds = len(block.samples) / block.stream.sample_rate_hz
+    periods = int(seconds / signal.period_s + 1e-6)
+    coherent = max(1, min(max(1, signal.symbol_periods // 2), periods // 2))
+    return AcquisitionSettings(
+        doppler_max_hz=settings.doppler_max_hz,
+        doppler_centre_hz=settings.doppler_centre_hz,
         coherent_s=coherent * signal.period_s,
         noncoherent=periods // coherent,
         false_alarm=settings.false_alarm,
     )
-    sums = running_sums(block, signal.id.carrier_hz)
-    return cold_search(sums, block.first, signal, acquisition, prns, executor)
 
 
 def _codes(
