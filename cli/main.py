@@ -90,10 +90,9 @@ def _diagnosis(failure: Exception | KeyboardInterrupt) -> tuple[list[str], int]:
     match failure:
         case DeepGnssError():
             return [f"error: {line}" for line in str(failure).splitlines()], EXIT_BAD_INPUT
-        case Terminated():
-            return ["interrupted"], EXIT_TERMINATED
         case KeyboardInterrupt():
-            return ["interrupted"], EXIT_INTERRUPTED
+            code = EXIT_TERMINATED if isinstance(failure, Terminated) else EXIT_INTERRUPTED
+            return [f"interrupted {failure}".strip()], code
         case OSError():
             place = f"{failure.filename}: " if failure.filename else ""
             return [f"error: {place}{failure.strerror or failure}"], EXIT_BAD_INPUT

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +13,27 @@ import click
 from rich.console import Console
 
 from deepgnss.cli.main import EXIT_NOTHING_USABLE
-from deepgnss.cli.screen import RunState, RunSummary, Screen, summary_table, why_no_fix_table
-from deepgnss.core.errors import ConfigError
-from deepgnss.deep.engine import Engine, ScoutPass, workers
-from deepgnss.deep.outputs import Outputs
+from deepgnss.cli.screen import (
+    RunState,
+    RunSummary,
+    Screen,
+    summary_table,
+    why_no_fix_table,
+    why_no_position,
+)
+from deepgnss.core.errors import RecordingError
+from deepgnss.core.records import STAGES, SatelliteOutcome
+from deepgnss.deep.engine import Engine, ScoutPass, check_agreement, workers
+from deepgnss.deep.outputs import FILES, Outputs
 from deepgnss.deep.setup import RunPlan, plan_run
 from deepgnss.io.config import Config, load_config, notes
+from deepgnss.io.folder import prepare_folder, written
+from deepgnss.io.formats import StreamFormat
+from deepgnss.io.metadata import open_recording
 from deepgnss.io.recording import Recording
-from deepgnss.receiver.receiver import StepResult
+from deepgnss.receiver.receiver import Knowledge, StepResult
+
+_NARROWEST = 110  # columns of the tables where there is no terminal
 
 
 @click.command()
@@ -30,68 +46,155 @@ def process(
 ) -> None:
     """Process RECORDING: RINEX, NMEA, CSV, tracks, summary and a picture.
 
-    Exit code 0 only when a usable result was written.
+    Exit code 0: positions were written. 1: the run ended in order without a position; a table
+    says how far each satellite came, and the files hold what was observed. 2: recording,
+    configuration or output place cannot be used. 130, 143: interrupted; files then end in .part.
     """
     if output is not None:
         overrides = (*overrides, f"output.directory={output.resolve()}")
     config = load_config(config_path, overrides)
-    formats = [stream.stream_format() for stream in config.recording.streams]
-    if not formats:
-        raise ConfigError("recording.streams: say what the samples are (see configs/car.yaml)")
-    with Recording(formats, recording) as opened, Screen() as screen:
-        for line in (*notes(config), *opened.notes):
+    formats = tuple(stream.stream_format() for stream in config.recording.streams)
+    opened, description = open_recording(recording, formats)
+    with opened, Screen() as screen:
+        for line in (*notes(config), *description.notes, *opened.notes):
             screen.note(f"note: {line}")
-        usable = _run(config, plan_run(config, opened.streams), opened, recording.name, screen)
+        _require_whole(config, opened)
+        plan = plan_run(config, opened.streams, description.start)
+        form = next(form for form in description.streams if form.name == plan.stream.name)
+        prepare_folder(config.output.directory, FILES)
+        run = _Run(config, plan, recording, form, opened, screen)
+        usable = run.whole()
     if not usable:
         raise click.exceptions.Exit(EXIT_NOTHING_USABLE)
 
 
-def _run(config: Config, plan: RunPlan, recording: Recording, name: str, screen: Screen) -> bool:
-    """Scout, process, report; True when positions or observations were written."""
-    stages_s: dict[str, float] = {}
-    with workers(plan.threads) as executor:
-        knowledge, began = plan.knowledge, time.monotonic()
-        if plan.scout:
-            screen.phase("scout pass")
-            scout = ScoutPass(Engine(plan, recording, knowledge, executor), plan)
-            for result in scout.steps():
-                _show(screen, plan, result)
-            knowledge = scout.knowledge
-            stages_s["scout pass"] = time.monotonic() - began
-        screen.phase("processing")
-        began = time.monotonic()
-        engine = Engine(plan, recording, knowledge, executor)
-        with Outputs(config, plan, knowledge) as outputs:
+def _require_whole(config: Config, recording: Recording) -> None:
+    """Refuse a file that breaks off within a sample or block, unless a length was asked for."""
+    if recording.notes and config.recording.duration is None:
+        lasts = min(s.sample_count / s.sample_rate_hz for s in recording.streams)
+        raise RecordingError(
+            f"{recording.notes[0]} (recording.duration: {lasts:.6f} takes what is there)"
+        )
+
+
+@dataclass
+class _Run:
+    """One run: scout, process, report."""
+
+    config: Config
+    plan: RunPlan
+    path: Path
+    form: StreamFormat
+    recording: Recording
+    screen: Screen
+    stages_s: dict[str, float] = field(default_factory=dict)
+
+    def whole(self) -> bool:
+        """Do everything; True when positions were written."""
+        folder = self.config.output.directory
+        with workers(self.plan.threads) as executor:
+            knowledge = self.plan.knowledge
+            if self.plan.scout:
+                with self._stage("scout pass"), _interruptible("the scout pass; nothing written"):
+                    engine = Engine(self.plan, self.recording, knowledge, executor)
+                    scout = ScoutPass(engine, self.plan)
+                    for result in scout.steps():
+                        self._show(result)
+                    knowledge = scout.knowledge
+                    if scout.first_fix is None:
+                        self._refuse_misdescribed(engine.receiver.accounts.outcomes)
+            with (
+                self._stage("processing"),
+                _interruptible(f"what was written so far ends in .part in {folder}"),
+            ):
+                engine = Engine(self.plan, self.recording, knowledge, executor)
+                outputs = self._process(engine, knowledge)
+        outcomes = engine.receiver.accounts.outcomes
+        if self.config.output.report and self.config.output.csv and outputs.tally.epochs:
+            with self._stage("picture"):
+                _draw(self.config, folder)
+        self._report(outputs, outcomes)
+        if outputs.tally.fixed:
+            return True
+        if not self.plan.scout:
+            self._refuse_misdescribed(outcomes)
+        why = why_no_position(outcomes, self._seconds)
+        self.screen.note(f"error: {self.path}: no position: {why}")
+        return False
+
+    def _process(self, engine: Engine, knowledge: Knowledge) -> Outputs:
+        with Outputs(self.config, self.plan, knowledge) as outputs:
+            timed = False
             for result in engine.steps():
+                if engine.receiver.clock is not None and not timed:
+                    check_agreement(engine.receiver.clock, self.plan.knowledge)
+                    timed = True
                 outputs.write(result)
-                _show(screen, plan, result)
+                self._show(result)
             receiver = engine.receiver
-            outcomes = receiver.accounts.outcomes
-            outputs.finish(receiver.nav, outcomes, {"config": _echo(config)})
-    stages_s["processing"] = time.monotonic() - began
-    tally = outputs.tally
-    if config.output.report and config.output.csv and tally.epochs:
-        began = time.monotonic()
-        _draw(config, outputs.folder, name)
-        stages_s["picture"] = time.monotonic() - began
-    seconds = (plan.end - plan.first) / plan.stream.sample_rate_hz
-    console = Console()
-    searched = [outcome for outcome in outcomes if outcome.stage != "not searched"]
-    console.print(why_no_fix_table(searched))
-    console.print(
-        summary_table(
-            RunSummary(
-                recording_s=seconds,
-                stages_s=stages_s,
-                epochs=tally.epochs,
-                fixed=tally.fixed,
-                first_fix_s=tally.first_fix_s,
-                last=tally.last_valid.solution if tally.last_valid else None,
-                files=sorted(path for path in outputs.folder.iterdir() if path.is_file()),
+            outputs.finish(receiver.nav, receiver.accounts.outcomes, {"config": _echo(self.config)})
+        return outputs
+
+    def _refuse_misdescribed(self, outcomes: Sequence[SatelliteOutcome]) -> None:
+        """Say what is wrong with the description where hardly a satellite could be tracked."""
+        from deepgnss.evaluate.diagnosis import diagnose
+
+        timed = [o for o in outcomes if STAGES.index(o.stage) >= STAGES.index("frame sync")]
+        if len(timed) >= 4:
+            return
+        self.screen.phase("looking for what is wrong with the description")
+        found = diagnose(self.path, self.form, self.plan.signal, self.config.recording.skip)
+        if found:
+            raise RecordingError("\n".join(f"{self.path}: {text}" for text in found))
+
+    def _report(self, outputs: Outputs, outcomes: Sequence[SatelliteOutcome]) -> None:
+        console = Console()
+        if not console.is_terminal:
+            console.width = max(console.width, _NARROWEST)
+        searched = [outcome for outcome in outcomes if outcome.stage != "not searched"]
+        console.print(why_no_fix_table(searched))
+        tally = outputs.tally
+        console.print(
+            summary_table(
+                RunSummary(
+                    recording_s=self._seconds,
+                    stages_s=self.stages_s,
+                    epochs=tally.epochs,
+                    fixed=tally.fixed,
+                    first_fix_s=tally.first_fix_s,
+                    last=tally.last_valid.solution if tally.last_valid else None,
+                    files=written(outputs.folder, FILES),
+                )
             )
         )
-    )
-    return tally.epochs > 0
+
+    @property
+    def _seconds(self) -> float:
+        return (self.plan.end - self.plan.first) / self.plan.stream.sample_rate_hz
+
+    @contextmanager
+    def _stage(self, name: str) -> Iterator[None]:
+        """Name a stage on the screen and take its time."""
+        self.screen.phase(name)
+        began = time.monotonic()
+        yield
+        self.stages_s[name] = time.monotonic() - began
+
+    def _show(self, result: StepResult) -> None:
+        rate = self.plan.stream.sample_rate_hz
+        solution = result.fixes[-1].solution if result.fixes else None
+        self.screen.update(
+            RunState((result.end - self.plan.first) / rate, self._seconds, result.reports, solution)
+        )
+
+
+@contextmanager
+def _interruptible(where: str) -> Iterator[None]:
+    """Let an interrupt say what it leaves behind."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        raise type(stop)(f"({where})") from stop
 
 
 def _echo(config: Config) -> dict[str, Any]:
@@ -99,26 +202,13 @@ def _echo(config: Config) -> dict[str, Any]:
     return config.model_dump(mode="json", exclude={"threads": True, "output": {"directory"}})
 
 
-def _show(screen: Screen, plan: RunPlan, result: StepResult) -> None:
-    rate = plan.stream.sample_rate_hz
-    solution = result.fixes[-1].solution if result.fixes else None
-    screen.update(
-        RunState(
-            (result.end - plan.first) / rate,
-            (plan.end - plan.first) / rate,
-            result.reports,
-            solution,
-        )
-    )
-
-
-def _draw(config: Config, folder: Path, name: str) -> None:
+def _draw(config: Config, folder: Path) -> None:
     """Overview picture, and errors where there is a truth."""
     from deepgnss.evaluate.errors import errors, evaluate, write_errors, write_statistics
     from deepgnss.evaluate.overview import draw_overview, read_run
     from deepgnss.io.truth import read_truth
 
-    run = read_run(folder, name)
+    run = read_run(folder, folder.name)
     truth = None
     if config.truth is not None:
         truth = read_truth(config.truth.file, config.truth.format)

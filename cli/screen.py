@@ -201,5 +201,29 @@ def why_no_fix_table(outcomes: Sequence[SatelliteOutcome]) -> Table:
     return table
 
 
+def why_no_position(outcomes: Sequence[SatelliteOutcome], recording_s: float) -> str:
+    """Return in one line how far the satellites came in a run without a position."""
+    reached = dict.fromkeys(STAGES, 0)
+    for outcome in outcomes:
+        for stage in STAGES[: STAGES.index(outcome.stage) + 1]:
+            reached[stage] += 1
+    if not reached["acquired"]:
+        return f"no satellite found in {recording_s:.1f} s of recording"
+    counts = ", ".join(
+        f"{reached[stage]} {words}"
+        for stage, words in (
+            ("acquired", "acquired"),
+            ("bit sync", "with bit sync"),
+            ("frame sync", "with frame sync"),
+            ("ephemeris", "with an ephemeris"),
+        )
+    )
+    wait = "" if reached["bit sync"] < 4 or reached["ephemeris"] >= 4 else _PATIENCE
+    return f"satellites in {recording_s:.1f} s of recording: {counts}{wait}"
+
+
+_PATIENCE = "; ephemerides take 18 to 36 s of recording, or a NAV file (nav)"
+
+
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.1f}"

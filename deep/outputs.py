@@ -9,13 +9,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self, TypeVar
 
-from deepgnss.core.errors import OutputError
 from deepgnss.core.records import NavData, SatelliteOutcome
 from deepgnss.deep.setup import RunPlan
 from deepgnss.io.config import Config
 from deepgnss.io.correlations import CorrelationWriter
 from deepgnss.io.nmea import NmeaWriter
-from deepgnss.io.rinex import long_name
+from deepgnss.io.rinex import STATION, long_name
 from deepgnss.io.rinex_nav import write_nav
 from deepgnss.io.rinex_obs import ObsHeader, RinexObsWriter
 from deepgnss.io.summary import write_summary
@@ -28,6 +27,19 @@ from deepgnss.io.tables import (
 )
 from deepgnss.io.tracks import GeoJsonTrack, GpxTrack, KmlTrack
 from deepgnss.receiver.receiver import Fix, Knowledge, StepResult
+
+FILES = (
+    f"{STATION}_R_*_?O.rnx",
+    f"{STATION}_R_*_?N.rnx",
+    "solution.nmea",
+    *(f"{name}.csv" for name in ("solution", "satellites", "channels", "observations", "events")),
+    *(f"{name}.csv" for name in ("errors", "statistics")),
+    *(f"track.{kind}" for kind in ("kml", "gpx", "geojson")),
+    "correlations.h5",
+    "overview.png",
+    "summary.json",
+)
+"""Names of all files a run may write, as shell patterns."""
 
 
 class _Closing(AbstractContextManager["_Closing"], Protocol):
@@ -59,7 +71,7 @@ class Outputs:
     """
 
     def __init__(self, config: Config, plan: RunPlan, knowledge: Knowledge) -> None:
-        """Open the files the config asks for; OutputError when the folder is not writable."""
+        """Open the files the config asks for, in a folder that is there."""
         self.folder = Path(config.output.directory)
         self.tally = Tally()
         self._stack = ExitStack()
@@ -68,10 +80,6 @@ class Outputs:
         self._rate = plan.stream.sample_rate_hz
         self._writers: list[_Closing] = []
         self._flushed = plan.first
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"{self.folder}: cannot be made ({error.strerror})") from error
         with ExitStack() as opening:
             self._open(opening, knowledge)
             self._stack = opening.pop_all()

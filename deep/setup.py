@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from deepgnss.core.errors import ConfigError, InputFileError
@@ -39,8 +40,12 @@ class RunPlan:
     threads: int
 
 
-def plan_run(config: Config, streams: tuple[StreamInfo, ...]) -> RunPlan:
+def plan_run(
+    config: Config, streams: tuple[StreamInfo, ...], start: datetime | None = None
+) -> RunPlan:
     """Choose signal and stream, and translate the settings.
+
+    `start`: when the recording began, as its own metadata say; the config's word goes first.
 
     Raises ConfigError when no stream covers a signal this version tracks, InputFileError when
     the NAV file does not fit the recording's date.
@@ -66,7 +71,7 @@ def plan_run(config: Config, streams: tuple[StreamInfo, ...]) -> RunPlan:
         signal=signal,
         stream=stream,
         settings=receiver_settings(config, signal),
-        knowledge=initial_knowledge(config),
+        knowledge=initial_knowledge(config, start),
         first=first,
         end=end,
         epoch_s=config.deep.epoch,
@@ -125,9 +130,9 @@ def receiver_settings(config: Config, signal: Signal) -> ReceiverSettings:
     )
 
 
-def initial_knowledge(config: Config) -> Knowledge:
+def initial_knowledge(config: Config, start: datetime | None) -> Knowledge:
     """What the config says of date, place and orbits."""
-    start = config.recording.start_time
+    start = config.recording.start_time or start
     near = from_utc(start) if start is not None else None
     nav = NavData()
     if config.nav is not None:

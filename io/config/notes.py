@@ -21,6 +21,4 @@ def notes(config: Config) -> tuple[str, ...]:
         lines.append("imu: aiding is not in this version; the run is unaided")
     if config.odometer is not None:
         lines.append("odometer: not used by this version")
-    if config.truth is not None:
-        lines.append("truth: comparison is not in this version")
     return tuple(lines)
