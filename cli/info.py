@@ -20,6 +20,7 @@ from deepgnss.io.formats import StreamFormat
 from deepgnss.io.metadata import open_recording
 from deepgnss.io.recording import Recording
 from deepgnss.io.samples import full_scale
+from deepgnss.receiver.continuity import SampleSlip, find_sample_slips
 
 _MOST_SAMPLES = 20_000_000  # looked at, whatever --seconds says: memory stays bounded
 _COARSE = 15  # quantizers of up to 4 bits are at full scale most of the time
@@ -77,9 +78,11 @@ def info(
             seen.append(_look(opened, place, first, seconds, full_scale(form)))
             _print_stream(console, seen[-1], form)
             surveys = []
+            slips: list[str] = []
             if satellites:
                 surveys = _surveys(opened, place, first)
-            _print_findings(console, seen[-1], surveys)
+                slips = _slips(console, opened, place, surveys)
+            _print_findings(console, seen[-1], surveys, slips)
     if plot is not None:
         draw_inspection(plot, seen)
         console.print(f"\nplot       {plot}", soft_wrap=True)
@@ -105,6 +108,36 @@ def _surveys(recording: Recording, place: int, first: int) -> list[Survey]:
         return recording.read(place, start, count)
 
     return [survey(read, signal, first) for signal in signals_within(recording.streams[place])]
+
+
+def _slips(console: Console, recording: Recording, place: int, surveys: list[Survey]) -> list[str]:
+    """Lines on lost and inserted samples, by the first signal with satellites."""
+    stream = recording.streams[place]
+
+    def read(start: int, count: int) -> SampleBlock:
+        return recording.read(place, start, count)
+
+    for one in surveys:
+        if len(one.found) < 2:
+            continue
+        seen = find_sample_slips(read, stream, one.signal)
+        if not seen.satellites:
+            continue
+        if not seen.slips:
+            console.print(
+                f"\ncontinuous: codes of {len(seen.satellites)} satellites run on through the"
+                f" whole stream ({seen.probes} probes)"
+            )
+        return [_slip_text(slip, stream) for slip in seen.slips]
+    return []
+
+
+def _slip_text(slip: SampleSlip, stream: StreamInfo) -> str:
+    what = "lost" if slip.lost > 0 else "too many"
+    return (
+        f"{abs(slip.lost)} samples {what} at sample {slip.sample} ± {slip.uncertainty}"
+        f" ({slip.sample / stream.sample_rate_hz * 1e3:.3f} ms), modulo {slip.modulo:.10g}"
+    )
 
 
 def _print_stream(console: Console, seen: Inspection, form: StreamFormat) -> None:
@@ -144,10 +177,12 @@ def _print_stream(console: Console, seen: Inspection, form: StreamFormat) -> Non
         console.print(Text("\n".join(lines)), no_wrap=True, crop=False, overflow="ignore")
 
 
-def _print_findings(console: Console, seen: Inspection, surveys: list[Survey]) -> None:
+def _print_findings(
+    console: Console, seen: Inspection, surveys: list[Survey], slips: list[str]
+) -> None:
     for one in surveys:
         _print_satellites(console, one)
-    findings = [*seen.findings, *(text for one in surveys for text in one.findings)]
+    findings = [*seen.findings, *(text for one in surveys for text in one.findings), *slips]
     console.print()
     for text in findings:
         console.print(Text(f"? {text}", style="yellow"), soft_wrap=True)

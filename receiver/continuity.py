@@ -35,11 +35,13 @@ Reader = Callable[[int, int], SampleBlock]  # (first sample, count) → samples
 
 _SEARCH = AcquisitionSettings(doppler_max_hz=12e3, coherent_s=0.005, noncoherent=2)
 _FOLLOW = AcquisitionSettings(coherent_s=0.005, noncoherent=2)
+_GOOD_VIEW = 5  # satellites
 _SATELLITES = 8  # the strongest ones are used
 _WEAKEST_DBHZ = 36.0
 _ENOUGH = 60.0  # energy over noise density, of all satellites, that a probe shall have
 _LONGEST_PROBE = 10  # code periods
 _HOP_S = 0.01  # between probes, at least
+_FOLLOW_S = 0.1  # between measurements of the satellites one by one
 _PROBES = 200  # at most, over the whole recording
 _FALSE_ALARM = 1e-6  # of a probe's joint peak
 _SAME_CHIPS = 0.4  # probes this close agree
@@ -138,11 +140,16 @@ def find_sample_slips(
             probes.append(now)
             if now.shift_chips is None:
                 continue
-            if before.shift_chips is not None and abs(now.shift_chips) > _SAME_CHIPS:
+            if before.shift_chips is None:
+                before = now
+            elif abs(_wrap(now.shift_chips - before.shift_chips, here)) > _SAME_CHIPS:
                 pair = (before, now) if way > 0 else (now, before)
                 slips += _between(here, *pair)
-            here = _followed(here, now)
-            before = now._replace(shift_chips=0.0)
+            aged = abs(now.first - here.tracks[0].sample) > _FOLLOW_S * stream.sample_rate_hz
+            if aged or abs(now.shift_chips) > _SAME_CHIPS:
+                here = _followed(here, now)
+                now = now._replace(shift_chips=0.0)
+            before = now
     names = tuple(signal.satellite(track.prn) for track in tracks)
     return Continuity(names, len(probes), tuple(sorted(slips, key=lambda slip: slip.sample)))
 
@@ -160,7 +167,7 @@ def _search_samples(stream: StreamInfo, settings: AcquisitionSettings) -> int:
 
 
 def _anchor(read: Reader, stream: StreamInfo, signal: Signal) -> tuple[int, list[Acquisition]]:
-    """A place where satellites are well seen: the best of three."""
+    """A place where satellites are well seen: the first good one, or the best, of three."""
     count = _search_samples(stream, _SEARCH)
     if stream.sample_count < count:
         return 0, []
@@ -174,6 +181,8 @@ def _anchor(read: Reader, stream: StreamInfo, signal: Signal) -> tuple[int, list
         ]
         if len(found) > len(best[1]):
             best = first, found
+        if len(found) >= _GOOD_VIEW:
+            break
     return best
 
 
