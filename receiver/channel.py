@@ -113,7 +113,7 @@ class Channel:
         self._margin = 4 + int(2.0 * settings.spacing_chips / self._sample_chips)
         self._history = int(_HISTORY_SYMBOLS * signal.symbol_s * sample_rate_hz)
         self._bit_sync: BitSync = start_bit_sync(signal.symbol_periods)
-        self._prompts: list[ComplexArray] = []  # of the stretch bit sync works on
+        self._prompts: list[ComplexArray] = []  # of frequency lock, on the carrier again
         self._prompts_first = 0
         self._bit_sync_first = 0
         self._pieces: list[ComplexArray] = []  # of a symbol the lock detectors wait for
@@ -306,7 +306,7 @@ class Channel:
             return
         if not self._prompts:
             self._prompts_first = self.periods - seen.periods.shape[0]
-        self._prompts.append(seen.periods[:, 1].copy())
+        self._prompts.append(seen.periods[:, 1] * self._carrier_turns(seen.periods.shape[0]))
         if len(self._prompts) * self.signal.symbol_s > _REMEMBERED_S:
             self._prompts_first += self._prompts.pop(0).size
         if self.edge is None:
@@ -319,6 +319,13 @@ class Channel:
             if edge is not None:
                 symbols = self._bit_sync.symbols
                 self.set_edge(self._bit_sync_first + edge, f"{symbols} symbols")
+
+    def _carrier_turns(self, periods: int) -> ComplexArray:
+        """Carrier the generator ran in the middles of the periods of the interval just over."""
+        command = self.history[-1].command
+        t = self.signal.period_s * (np.arange(periods) + 0.5) - command.code_chips / command.code_hz
+        cycles = command.carrier_cycles + t * (command.carrier_hz + 0.5 * t * command.carrier_hzps)
+        return np.asarray(np.exp(2j * np.pi * np.mod(cycles, 1.0)))
 
     def _whole_symbol(self, seen: Accumulated) -> Accumulated | None:
         """Intervals put together to a symbol for the lock detectors; None while it is not full."""
@@ -347,6 +354,9 @@ class Channel:
         """
         size = self.signal.symbol_periods
         prompts = np.concatenate(self._prompts)
+        # The generator followed the loop; seen from one frequency the carrier runs straight.
+        back_s = self.signal.period_s * (np.arange(prompts.size) + 0.5 - prompts.size)
+        prompts *= np.exp(-2j * np.pi * (self._carrier.frequency * back_s + self._carrier.phase))
         skip = (edge - self._prompts_first) % size
         seen = demodulate(prompts[skip:].reshape(-1, size).sum(axis=1))
         self.symbols = seen.symbols

@@ -33,6 +33,7 @@ from deepgnss.sim.trajectory import Path, Static, Trajectory
 
 CHIP_HZ, CARRIER_HZ, CODE_CHIPS = GPS_L1CA.chip_rate_hz, GPS_L1CA.carrier_hz, 1023
 EPOCH_S = 0.1
+START = GpsTime(2290, 382_256.0)  # two seconds into a subframe
 Steps = tuple[tuple[float, float], ...]
 
 
@@ -108,7 +109,7 @@ def make_sky(
     rate_hz: float = 2.6e6,
     path: Path | None = None,
     clock: ReceiverClock | None = None,
-    start: GpsTime = GpsTime(2290, 382_256.0),
+    start: GpsTime = START,
     seed: int = 11,
 ) -> Sky:
     """The highest satellites over a place, each with its C/N0 (or steps of it)."""

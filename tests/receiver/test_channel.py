@@ -88,8 +88,8 @@ def test_lock_and_its_order(cn0_dbhz: float) -> None:
     order = [event.what for event in one.events if event.what != "false lock"]
     assert order == ["FLL", "bit sync", "PLL", "phase lock"]
     locked_s = _seconds(sky, one.event("phase lock").sample)
-    assert locked_s < (0.7 if cn0_dbhz >= 36.0 else 2.0)
-    assert _seconds(sky, one.event("bit sync").sample) < (0.4 if cn0_dbhz >= 36.0 else 1.5)
+    assert locked_s < (0.55 if cn0_dbhz >= 34.0 else 1.0)
+    assert _seconds(sky, one.event("bit sync").sample) < (0.35 if cn0_dbhz >= 34.0 else 0.8)
     assert one.channel.mode is Mode.PHASE
 
 
@@ -166,7 +166,7 @@ def test_code_phase_has_the_noise_of_theory_and_no_bias() -> None:
             1.023e6,
         )
         normalized.append(errors / sigma)
-        assert abs(np.mean(errors)) < 1.2 * sigma / np.sqrt(2.0 * CODE_BANDWIDTH_HZ * 7.5) + 0.001
+        assert abs(np.mean(errors)) < 3.0 * sigma / np.sqrt(2.0 * CODE_BANDWIDTH_HZ * 7.5) + 0.001
     assert 0.65 < np.std(np.concatenate(normalized)) < 1.15
 
 
