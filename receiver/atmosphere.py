@@ -12,6 +12,13 @@ from deepgnss.core.records import GPS_L1CA, FloatArray, Klobuchar
 _DAY_S: Final = 86_400.0
 _TROPOPAUSE_M: Final = 11_000.0
 
+TYPICAL_KLOBUCHAR: Final = Klobuchar(
+    (0.1118e-7, -0.7451e-8, -0.5961e-7, 0.1192e-6),
+    (0.1167e6, -0.2294e6, -0.1311e6, 0.1049e7),
+)
+"""Broadcast of 2004-01-01, between the extremes of the solar cycle: better than no ionosphere at
+all while none has been received; RTKLIB assumes the same."""
+
 
 def klobuchar_delay(
     coefficients: Klobuchar,

@@ -11,7 +11,7 @@ import numpy as np
 from deepgnss.core.frames import geodetic
 from deepgnss.core.records import Ephemeris, FloatArray, NavData
 from deepgnss.core.time import GpsTime
-from deepgnss.receiver.atmosphere import klobuchar_delay, saastamoinen_delay
+from deepgnss.receiver.atmosphere import TYPICAL_KLOBUCHAR, klobuchar_delay, saastamoinen_delay
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +22,8 @@ class ErrorModel:
               + (ionosphere·I)² + (troposphere·T)²
     Range rate: σ² = rate_floor² + rate_noise²·10^((45 − C/N0)/10)
     where I and T are the modelled delays. A delay that is not modelled on purpose counts as
-    absent; with Klobuchar asked for but its coefficients not yet known, I is taken as its slant
-    factor times `unknown_zenith`, wholly uncertain.
+    absent; with Klobuchar asked for but its coefficients not yet known, a typical set serves, with
+    the slant factor times `unknown_zenith` as its σ.
     """
 
     multipath_m: float = 0.5
@@ -66,14 +66,20 @@ def delays(
         variance_m2 += (model.troposphere * troposphere_m) ** 2
     if parameters.ionosphere == "klobuchar":
         coefficients = nav.klobuchar.get("G")
+        ionosphere_m = klobuchar_delay(
+            coefficients or TYPICAL_KLOBUCHAR,
+            lat,
+            lon,
+            azimuth_rad,
+            elevation_rad,
+            time.tow_s,
+            carriers_hz,
+        )
+        delay_m += ionosphere_m
         if coefficients is None:
             slant = 1.0 + 16.0 * (0.53 - np.maximum(elevation_rad, 0.0) / np.pi) ** 3
             variance_m2 += (model.unknown_zenith_m * slant) ** 2
         else:
-            ionosphere_m = klobuchar_delay(
-                coefficients, lat, lon, azimuth_rad, elevation_rad, time.tow_s, carriers_hz
-            )
-            delay_m += ionosphere_m
             variance_m2 += (model.ionosphere * ionosphere_m) ** 2
     return delay_m, variance_m2
 
