@@ -21,11 +21,13 @@ from deepgnss.cli.screen import (
     why_no_fix_table,
     why_no_position,
 )
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.errors import RecordingError
 from deepgnss.core.records import STAGES, SatelliteOutcome
+from deepgnss.deep.consistency import TOLERATED_MPS, CodeMinusCarrier
 from deepgnss.deep.engine import Engine, ScoutPass, check_agreement, workers
 from deepgnss.deep.outputs import FILES, Outputs
-from deepgnss.deep.setup import RunPlan, plan_run
+from deepgnss.deep.setup import RunPlan, limits, plan_run
 from deepgnss.io.config import Config, load_config, notes
 from deepgnss.io.folder import prepare_folder, written
 from deepgnss.io.formats import StreamFormat
@@ -56,7 +58,7 @@ def process(
     formats = tuple(stream.stream_format() for stream in config.recording.streams)
     opened, description = open_recording(recording, formats)
     with opened, Screen() as screen:
-        for line in (*notes(config), *description.notes, *opened.notes):
+        for line in (*notes(config), *limits(config), *description.notes, *opened.notes):
             screen.note(f"note: {line}")
         _require_whole(config, opened)
         plan = plan_run(config, opened.streams, description.start)
@@ -108,21 +110,22 @@ class _Run:
                 _interruptible(f"what was written so far ends in .part in {folder}"),
             ):
                 engine = Engine(self.plan, self.recording, knowledge, executor)
-                outputs = self._process(engine, knowledge)
+                drift = CodeMinusCarrier(self.plan.signal.id)
+                outputs = self._process(engine, knowledge, drift)
         outcomes = engine.receiver.accounts.outcomes
         if self.config.output.report and self.config.output.csv and outputs.tally.epochs:
             with self._stage("picture"):
                 _draw(self.config, folder)
         self._report(outputs, outcomes)
         if outputs.tally.fixed:
-            return True
+            return self._is_consistent(drift.drift_mps)
         if not self.plan.scout:
             self._refuse_misdescribed(outcomes)
         why = why_no_position(outcomes, self._seconds)
         self.screen.note(f"error: {self.path}: no position: {why}")
         return False
 
-    def _process(self, engine: Engine, knowledge: Knowledge) -> Outputs:
+    def _process(self, engine: Engine, knowledge: Knowledge, drift: CodeMinusCarrier) -> Outputs:
         with Outputs(self.config, self.plan, knowledge) as outputs:
             timed = False
             for result in engine.steps():
@@ -130,6 +133,9 @@ class _Run:
                     check_agreement(engine.receiver.clock, self.plan.knowledge)
                     timed = True
                 outputs.write(result)
+                for fix in result.fixes:
+                    if fix.output:
+                        drift.add(fix.epoch)
                 self._show(result)
             receiver = engine.receiver
             outputs.finish(receiver.nav, receiver.accounts.outcomes, {"config": _echo(self.config)})
@@ -146,6 +152,17 @@ class _Run:
         found = diagnose(self.path, self.form, self.plan.signal, self.config.recording.skip)
         if found:
             raise RecordingError("\n".join(f"{self.path}: {text}" for text in found))
+
+    def _is_consistent(self, drift_mps: float | None) -> bool:
+        """Whether code and carrier stay together, as they do when rate and IF are right."""
+        from deepgnss.evaluate.satellites import rate_finding
+
+        if drift_mps is None or abs(drift_mps) < TOLERATED_MPS:
+            return True
+        off_ppm = drift_mps / SPEED_OF_LIGHT_MPS * 1e6
+        text = rate_finding(self.plan.stream, self.plan.signal, off_ppm)
+        self.screen.note(f"error: {self.path}: {text}; observations and positions suffer")
+        return False
 
     def _report(self, outputs: Outputs, outcomes: Sequence[SatelliteOutcome]) -> None:
         console = Console()

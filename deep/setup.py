@@ -16,7 +16,7 @@ from deepgnss.io.config import Config
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.receiver.acquisition import AcquisitionSettings
 from deepgnss.receiver.clock import NS
-from deepgnss.receiver.modes import TrackingSettings
+from deepgnss.receiver.modes import TrackingSettings, lowest_frequency_lock_dbhz
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.receiver import Knowledge, ReceiverSettings
 from deepgnss.receiver.signals import SIGNALS, Signal
@@ -60,6 +60,11 @@ def plan_run(
             f"recording.skip: {config.recording.skip} s, but the recording lasts "
             f"{stream.sample_count / stream.sample_rate_hz:.3f} s"
         )
+    if config.tracking.code.coherent != config.tracking.carrier.coherent:
+        raise ConfigError(
+            f"tracking.code.coherent: {config.tracking.code.coherent} s, expected that of the "
+            f"carrier loop, {config.tracking.carrier.coherent} s: both share their sums"
+        )
     searched_s = config.acquisition.coherent * config.acquisition.noncoherent
     if searched_s > config.deep.epoch - _SEARCH_MARGIN_S:
         raise ConfigError(
@@ -87,8 +92,7 @@ def _covered(config: Config, streams: tuple[StreamInfo, ...]) -> tuple[Signal, S
         carrier_hz = SIGNALS[name].id.carrier_hz
         for stream in streams:
             place_hz = stream.intermediate_hz + carrier_hz - stream.centre_hz
-            half_hz = stream.sample_rate_hz / 2.0
-            if (-half_hz if stream.is_complex else 0.0) <= place_hz <= half_hz:
+            if abs(place_hz) <= stream.sample_rate_hz / 2.0:
                 return SIGNALS[name], stream
     wanted = ", ".join(config.signals)
     raise ConfigError(
@@ -125,9 +129,26 @@ def receiver_settings(config: Config, signal: Signal) -> ReceiverSettings:
             troposphere=positioning.troposphere,
             raim=positioning.raim,
         ),
+        smoothing=positioning.smoothing,
         output_ns=round(config.output.interval * NS),
         solution_ns=round(config.deep.epoch * NS),
     )
+
+
+def limits(config: Config) -> tuple[str, ...]:
+    """Lines to print before a run: settings that this receiver cannot follow to the letter."""
+    lines = []
+    thresholds = config.tracking.thresholds
+    lowest = lowest_frequency_lock_dbhz(thresholds.phase)
+    if thresholds.frequency < lowest and "frequency" in thresholds.model_fields_set:
+        lines.append(
+            f"tracking.thresholds.frequency: frequency lock ends at {lowest:g} dB-Hz in this "
+            f"version, not at {thresholds.frequency:g}"
+        )
+    positioning = config.positioning
+    if positioning.outliers.enabled and "outliers" in positioning.model_fields_set:
+        lines.append("positioning.outliers: needs inertial aiding; this run relies on RAIM")
+    return tuple(lines)
 
 
 def initial_knowledge(config: Config, start: datetime | None) -> Knowledge:

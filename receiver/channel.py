@@ -36,6 +36,7 @@ from deepgnss.receiver.modes import (
     AidingSource,
     Mode,
     TrackingSettings,
+    lowest_frequency_lock_dbhz,
     unaided,
 )
 from deepgnss.receiver.signals import Signal, code_runs
@@ -55,6 +56,7 @@ from deepgnss.receiver.trackers import (
 )
 
 _REMEMBERED_S = 4.0  # prompts of a frequency-locked stretch kept for bit sync
+_HYSTERESIS_DB = 2.0  # below the threshold of phase lock before it is given up
 _HISTORY_SYMBOLS = 3  # commands kept for observables of the epoch before
 
 
@@ -72,6 +74,7 @@ class Interval(NamedTuple):
     slips: int  # possible cycle slips so far
     phase_since: int  # sample of phase lock
     cn0_dbhz: float
+    half_cycle: float | None  # 0 or ½ cycle once the polarity is known
     correction: Correction = NO_CORRECTION  # what the interval's correlations said of it …
     middle_s: float = 0.0  # … at its middle, s after the command
 
@@ -384,7 +387,10 @@ class Channel:
         here_s = self._seconds_since(self._since)
         cn0 = cn0_dbhz(self.locks, seen.period_s)
         fast = fast_cn0_dbhz(self.locks, seen.period_s)
-        weak = settings.phase_threshold_dbhz - 4.0
+        weak = max(
+            settings.frequency_threshold_dbhz,
+            lowest_frequency_lock_dbhz(settings.phase_threshold_dbhz),
+        )
         if cn0 > weak + 10.0:
             fast = min(fast, recent_cn0_dbhz(self.locks, seen.period_s))
         gone = fast < weak
@@ -408,7 +414,7 @@ class Channel:
                 ):
                     self._go(Mode.PHASE, f"symbol edges known, {cn0:.1f} dB-Hz")
             case Mode.PHASE:
-                self._watch_phase(here_s, fast, gone)
+                self._watch_phase(here_s, cn0, fast, gone)
             case Mode.HOLD:
                 if not gone and here_s > 0.1 and fast > settings.phase_threshold_dbhz:
                     self._go(Mode.FREQUENCY, f"signal back at {fast:.1f} dB-Hz")
@@ -417,12 +423,14 @@ class Channel:
             case Mode.LOST:
                 pass
 
-    def _watch_phase(self, here_s: float, fast_dbhz: float, gone: bool) -> None:
+    def _watch_phase(self, here_s: float, cn0: float, fast_dbhz: float, gone: bool) -> None:
         indicator = self.locks.phase
         if gone:
             self._go(Mode.HOLD, f"C/N0 fell to {fast_dbhz:.1f} dB-Hz")
         elif here_s > 0.5 and indicator < 0.4:
             self._go(Mode.FREQUENCY, f"phase lock lost: mean cos 2φ {indicator:.2f}")
+        elif here_s > 0.5 and cn0 < self.settings.phase_threshold_dbhz - _HYSTERESIS_DB:
+            self._go(Mode.FREQUENCY, f"C/N0 {cn0:.1f} dB-Hz, too weak for the phase")
         elif here_s > 0.2 and indicator > 0.8:
             off_hz = residual_frequency_hz(self.locks, self.signal.period_s)
             step_hz = 0.5 / self.signal.symbol_s
@@ -474,11 +482,19 @@ class Channel:
         self._note(Mode.LOST.value, reason)
 
     def set_polarity(self, half_cycle: float) -> None:
-        """Make known whether the tracked carrier is half a cycle off (0 or ½)."""
-        if self.half_cycle is None:
-            self.half_cycle = half_cycle
-            if half_cycle:
-                self.slips += 1
+        """Make known whether the tracked carrier is half a cycle off (0 or ½).
+
+        It holds for all of the present lock, also for intervals not yet observed.
+        """
+        if self.half_cycle is not None:
+            return
+        before, self.half_cycle = self.slips, half_cycle
+        if half_cycle:
+            self.slips += 1
+        self.history = [
+            i._replace(slips=self.slips, half_cycle=half_cycle) if i.slips == before else i
+            for i in self.history
+        ]
 
     # --- what others read --------------------------------------------------------------------
 
@@ -495,6 +511,7 @@ class Channel:
             self.slips,
             self._phase_since,
             cn0_dbhz(self.locks, self.signal.period_s),
+            self.half_cycle,
         )
 
     def at(self, sample: int) -> Interval:

@@ -47,6 +47,11 @@ class TrackingSettings:
     record_correlations: bool = False
 
 
+def lowest_frequency_lock_dbhz(phase_threshold_dbhz: float) -> float:
+    """Below this the products of neighbouring correlations do not hold the frequency."""
+    return min(24.0, phase_threshold_dbhz - 4.0)
+
+
 class AidingRate(NamedTuple):
     """Predicted carrier frequency at a sample and its slope; zeros when there is no aiding."""
 

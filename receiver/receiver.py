@@ -24,6 +24,7 @@ from deepgnss.core.records import (
     FloatArray,
     NavData,
     NavSolution,
+    Observation,
     RunningSums,
 )
 from deepgnss.core.time import GpsTime
@@ -37,6 +38,7 @@ from deepgnss.receiver.modes import AidingSource, Mode, TrackingSettings, unaide
 from deepgnss.receiver.observables import PhaseMemory, observe
 from deepgnss.receiver.search import Place, Searcher, SearchSettings, Sight
 from deepgnss.receiver.signals import Signal
+from deepgnss.receiver.smoothing import HatchState, smooth
 
 _TRAVEL_S = 0.075  # of a signal, when nothing is known: right to 12 ms
 _TIME_GUESS_S = 0.015
@@ -66,6 +68,14 @@ class Knowledge:
     position_e_m: FloatArray | None = None
     velocity_e_mps: FloatArray | None = None
     symbols: Mapping[str, framing.KnownSymbols] = field(default_factory=dict)
+
+
+class _Head(NamedTuple):
+    """A frame head not yet believed."""
+
+    channel: Channel
+    stretch: int  # the channel's `symbols_first` it counts from
+    frame: lnav.Frame
 
 
 class Fix(NamedTuple):
@@ -115,8 +125,9 @@ class Receiver:
         self._executor = executor
         self._workers = workers
         self._frames: dict[int, framing.FrameState] = {}
-        self._heads: dict[int, tuple[Channel, lnav.Frame]] = {}
+        self._heads: dict[int, _Head] = {}
         self._memory: dict[int, PhaseMemory] = {}
+        self._hatch: dict[int, HatchState] = {}
         self._searcher = Searcher(signal, settings.acquisition, settings.searching, sample_rate_hz)
         self._steered = knowledge.position_e_m is not None and knowledge.clock is not None
         self._last_tag_ns: int | None = None
@@ -185,6 +196,7 @@ class Receiver:
                 del self.channels[prn]
                 self._heads.pop(prn, None)
                 self._memory.pop(prn, None)
+                self._hatch.pop(prn, None)
                 self._searcher.lost(prn)
                 reason = channel.events[-1].reason if channel.events else "lost"
                 stage = self.accounts.stage(channel.satellite)
@@ -236,7 +248,10 @@ class Receiver:
             doppler_hz=seen.doppler_hz,
         )
         self.channels[seen.prn] = channel
-        self._frames.setdefault(seen.prn, framing.start(channel.satellite))
+        known = self._frames.get(seen.prn)
+        self._frames[seen.prn] = (
+            framing.start(channel.satellite) if known is None else framing.resume(known)
+        )
         self._memory[seen.prn] = PhaseMemory()
         if sight is not None and self.clock is not None:
             self._anchor_by_prediction(channel, sight, first)
@@ -265,7 +280,7 @@ class Receiver:
             self._frames[prn] = found.state
             subframes.extend((channel.satellite, subframe) for subframe in found.subframes)
             for frame in found.heads:
-                self._heads[prn] = (channel, frame)
+                self._heads[prn] = _Head(channel, channel.symbols_first, frame)
             fresh = tuple(item for item in found.news if not self._is_copy(channel, item))
             self.nav = framing.take_news(self.nav, fresh)
             for item in fresh:
@@ -312,15 +327,20 @@ class Receiver:
         date = self._date()
         if date is None:
             return
+        self._heads = {
+            prn: head
+            for prn, head in self._heads.items()
+            if head.channel.symbols_first == head.stretch
+        }
         half = SECONDS_PER_WEEK // 2
         origins: dict[int, int] = {}
         anchors: dict[int, int] = {}
-        for prn, (channel, frame) in self._heads.items():
+        for prn, (channel, _, frame) in self._heads.items():
             offset_s = (frame.start_tow_s - date.tow_s + half) % SECONDS_PER_WEEK - half
             anchors[prn] = framing.anchor_of(channel, frame, date.plus(offset_s).week)
             origins[prn] = self._origin_ns(channel, anchors[prn])
         for prn, origin_ns in origins.items():
-            channel, frame = self._heads[prn]
+            channel, _, frame = self._heads[prn]
             agreeing = sum(abs(origin_ns - other) < 0.03 * NS for other in origins.values()) - 1
             fits = self.clock is not None and abs(origin_ns - self.clock.origin_ns) < 0.05 * NS
             if frame.confirmed or fits or agreeing >= 2:
@@ -427,16 +447,28 @@ class Receiver:
         if self.clock is None:
             raise ValueError("no receiver time")
         instant = self.clock.instant(tag_ns)
+        epoch_time = from_ns(tag_ns)
         observations = []
         for prn, channel in sorted(self.channels.items()):
             memory = self._memory[prn]
             seen = observe(channel, self.clock, tag_ns, instant, memory)
             if seen is not None:
-                observations.append(seen.observation)
+                observations.append(self._smoothed(prn, channel, seen.observation, epoch_time))
                 self._memory[prn] = (
                     seen.memory if output else memory._replace(ambiguity=seen.memory.ambiguity)
                 )
-        return Epoch(from_ns(tag_ns), instant, tuple(observations))
+        return Epoch(epoch_time, instant, tuple(observations))
+
+    def _smoothed(
+        self, prn: int, channel: Channel, observation: Observation, time: GpsTime
+    ) -> Observation:
+        if not self.settings.smoothing:
+            return observation
+        state, smoothed = smooth(
+            self._hatch.get(prn, HatchState()), observation, time, channel.slips
+        )
+        self._hatch[prn] = state
+        return smoothed
 
     # --- accounts ------------------------------------------------------------------------------
 
