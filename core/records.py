@@ -102,7 +102,7 @@ class RunningSums:
 class SampleInstant(NamedTuple):
     """A point on the recording's own time axis: whole sample index and a fraction in [0, 1)."""
 
-    index: int
+    sample: int
     fraction: float
 
 

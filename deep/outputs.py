@@ -127,7 +127,7 @@ class Outputs:
         """Put one step into all files."""
         for fix in result.fixes:
             if fix.solution.valid and self.tally.first_fix_s is None:
-                self.tally.first_fix_s = fix.epoch.instant.index / self._rate
+                self.tally.first_fix_s = fix.epoch.instant.sample / self._rate
             if fix.output:
                 self._write_fix(fix)
         if self._config.output.csv:

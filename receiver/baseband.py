@@ -7,6 +7,7 @@ look-ups per tap. Kernels here know samples and chips only, nothing of satellite
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,12 @@ _SAMPLES_PER_CHIP = 96.0  # finer streams are thinned: entries of the sum are le
 
 @kernel
 def sum_complex(
-    samples: NDArray[np.int16], total: int, lead: int, thin: int, out: NDArray[np.int64]
-) -> tuple[int, int]:
+    samples: NDArray[np.integer[Any]],
+    total: np.int64,
+    lead: int,
+    thin: int,
+    out: NDArray[np.int64],
+) -> tuple[np.int64, int]:
     """Continue a running sum over complex samples (n, 2) that need no mixing.
 
     The first entry is written after `lead` samples, then one after every `thin`-th.
@@ -49,15 +54,15 @@ def sum_complex(
 
 @kernel
 def sum_mixed(
-    samples: NDArray[np.int16],
-    total: int,
+    samples: NDArray[np.integer[Any]],
+    total: np.int64,
     lead: int,
     thin: int,
     turn: np.uint64,
     increment: np.uint64,
     table: NDArray[np.int64],
     out: NDArray[np.int64],
-) -> tuple[int, int]:
+) -> tuple[np.int64, int]:
     """As `sum_complex` of samples·e^{−j2π·turn}; turn and its increment in 2⁻⁶⁴ cycles.
 
     samples: (n, 1) real or (n, 2) complex. table: (2¹⁰, 2) packed e^{−jθ} and j·e^{−jθ}.
@@ -298,7 +303,7 @@ class RunningSumBuffer:
         self._scale = 1.0
         self._carrier_hz = carrier_hz
         self._entries = 1
-        self._total = 0
+        self._total = np.int64(0)
         self._needed = 0
         self.first = 0  # sample of the oldest entry
         self.end = 0  # sample after the newest one summed
@@ -307,7 +312,7 @@ class RunningSumBuffer:
         """Drop everything and continue at a sample (which must divide by the thinning)."""
         self.first = self.end = sample - sample % self._thin
         self._entries = 1
-        self._total = 0
+        self._total = np.int64(0)
         self._packed[0] = 0
 
     @property

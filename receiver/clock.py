@@ -68,7 +68,7 @@ class ReceiverClock:
 
     def lag_s(self, tag_ns: int, instant: SampleInstant) -> float:
         """Tag − origin − instant/rate, s, without the rounding of large numbers."""
-        exact = Fraction(tag_ns - self.origin_ns, NS) - instant.index / self.sample_rate_hz
+        exact = Fraction(tag_ns - self.origin_ns, NS) - instant.sample / self.sample_rate_hz
         return float(exact) - instant.fraction / float(self.sample_rate_hz)
 
     def steered(

@@ -33,7 +33,7 @@ class Observed(NamedTuple):
 def _at(interval: Interval, instant: SampleInstant, rate_hz: float) -> tuple[NcoState, NcoState]:
     """Carrier (as the loop estimates it) and code at an instant: cycles, chips."""
     command = interval.command
-    seconds = (instant.index - command.sample + instant.fraction) / rate_hz
+    seconds = (instant.sample - command.sample + instant.fraction) / rate_hz
     carrier = NcoState(command.carrier_cycles, command.carrier_hz, command.carrier_hzps)
     code = NcoState(command.code_chips, command.code_hz, command.code_hzps)
     estimated = corrected(
@@ -65,7 +65,7 @@ def observe(
 
     `memory` is that of the last output; keep the returned one only when this epoch is put out.
     """
-    interval = channel.at(instant.index)
+    interval = channel.at(instant.sample)
     if channel.anchor is None or not interval.code_valid:
         return None
     rate_hz = float(clock.sample_rate_hz)
@@ -81,18 +81,17 @@ def observe(
     if ambiguity is None:
         ambiguity = round(pseudorange_m * frequency_hz / SPEED_OF_LIGHT_MPS - phase)
     valid = interval.phase_valid
-    known = channel.half_cycle is not None
     return Observed(
         Observation(
             satellite=channel.satellite,
             signal=channel.signal.id.name,
             pseudorange_m=pseudorange_m,
-            carrier_cycles=phase + ambiguity + (channel.half_cycle or 0.0),
+            carrier_cycles=phase + ambiguity + (interval.half_cycle or 0.0),
             doppler_hz=carrier.frequency * (1.0 + clock.drift_sps) + frequency_hz * clock.drift_sps,
             cn0_dbhz=interval.cn0_dbhz,
-            lock_time_s=(instant.index - interval.phase_since) / rate_hz if valid else 0.0,
+            lock_time_s=(instant.sample - interval.phase_since) / rate_hz if valid else 0.0,
             slip=interval.slips != memory.slips,
-            half_cycle=valid and not known,
+            half_cycle=valid and interval.half_cycle is None,
             carrier_valid=valid,
             transmit=from_ns(sent_ns).plus(rest_s),
         ),

@@ -414,7 +414,7 @@ class Receiver:
         return sorted(
             tag
             for tag in tags
-            if first <= self.clock.instant(tag).index < end and (last is None or tag > last)
+            if first <= self.clock.instant(tag).sample < end and (last is None or tag > last)
         )
 
     def _fix(self, tag_ns: int) -> Fix | None:
