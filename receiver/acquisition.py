@@ -186,8 +186,10 @@ def _grid_hz(settings: AcquisitionSettings, window: SearchWindow | None) -> Floa
     step_hz = 0.5 / settings.coherent_s
     centre_hz = settings.doppler_centre_hz if window is None else window.doppler_hz
     half_hz = settings.doppler_max_hz if window is None else window.doppler_half_hz
-    reach = int(np.ceil(half_hz / step_hz - 1e-9))
-    return np.asarray(centre_hz + np.arange(-reach, reach + 1) * step_hz, dtype=np.float64)
+    # On whole steps: within a code period only half bins are mixed exactly.
+    low, high = (centre_hz - half_hz) / step_hz, (centre_hz + half_hz) / step_hz
+    steps = np.arange(np.floor(low + 1e-9), np.ceil(high - 1e-9) + 1)
+    return np.asarray(steps * step_hz, dtype=np.float64)
 
 
 def _search_all(

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.fft
@@ -82,7 +82,7 @@ def replica(signal_name: str, prn: int, half_band_hz: float) -> Replica:
 
 @summing_kernel
 def correlate_samples(
-    samples: NDArray[np.int16],
+    samples: NDArray[np.integer[Any]],
     carrier_cycles: float,
     code_chips: float,
     code_chips_per_sample: float,
@@ -100,20 +100,23 @@ def correlate_samples(
     turn = np.exp(-2j * np.pi * carrier_cycles)
     phase = 1.0 + 0.0j
     is_complex = samples.shape[1] == 2
+    entries = table.size - 1
     for n in range(samples.shape[0]):
-        chips = code_chips + n * code_chips_per_sample
-        period = int(chips / length)
+        periods = (code_chips + n * code_chips_per_sample) / length
+        period = int(periods)
+        prompt = (periods - period) * entries
         value = samples[n, 0] * phase
         if is_complex:
             value = complex(samples[n, 0], samples[n, 1]) * phase
         for tap in range(offsets.size):
-            at = (chips + offsets[tap]) / length
-            at = (at - math.floor(at)) * (table.size - 1)
+            at = prompt + offsets[tap] * (entries / length)
+            if at < 0.0:
+                at += entries
+            elif at >= entries:
+                at -= entries
             whole = int(at)
-            fraction = at - whole
-            out[period, tap] += value * (
-                table[whole] + fraction * (table[whole + 1] - table[whole])
-            )
+            replica = table[whole] + (at - whole) * (table[whole + 1] - table[whole])
+            out[period, tap] += value * replica
         lengths[period] += 1.0
         phase *= turn
 
@@ -185,8 +188,8 @@ def measure(
     """
     local = replica(signal.id.name, prn, half_band_hz(block))
     length = signal.id.code_chips
-    around = math.ceil(_REACH_CHIPS / local.offset_chips)
-    offsets = np.arange(-around, around + 1) * local.offset_chips
+    around = math.ceil(_REACH_CHIPS / max(local.offset_chips, _REACH_CHIPS / 4.0))
+    offsets = np.linspace(-_REACH_CHIPS, _REACH_CHIPS, 2 * around + 1)
     for attempt in range(4):
         c = correlate_snapshot(block, signal, prn, doppler_hz, code_chips % length, offsets)
         fit = fit_symbols(c.sums[:, offsets.size // 2], c.times_s, signal.symbol_periods, span_hz)
