@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from deepgnss.core.loops import loop_gains
+from deepgnss.core.records import FloatArray
+
 
 def pll_thermal_sigma_cycles(cn0_dbhz: float, bandwidth_hz: float, coherent_s: float) -> float:
     """Carrier phase σ, cycles, of a Costas loop of any order, T(2.20).
@@ -46,6 +51,30 @@ def _effective_spacing_chips(spacing_chips: float, band: float) -> float:
     if spacing_chips <= 1.0 / band:
         return 1.0 / band
     return 1.0 / band + band / (math.pi - 1.0) * (spacing_chips - 1.0 / band) ** 2
+
+
+def loop_states(
+    phase_cycles: FloatArray, order: int, bandwidth_hz: float, interval_s: float
+) -> FloatArray:
+    """What a loop without noise estimates of a moving phase: its own dynamic error, by running it.
+
+    Parameters: mean phase over each of n consecutive intervals, cycles (the loop starts on the
+    first ones); order 1–3; one-sided noise bandwidth, Hz; update interval, s.
+
+    Returns: (n, 3) phase, frequency and rate at each interval's middle, that interval's own
+    measurement included: cycles, Hz, Hz/s.
+    """
+    T = interval_s
+    forward = np.array([[1.0, T, 0.5 * T * T], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
+    gains = np.array(loop_gains(order, bandwidth_hz, T))
+    start_hz = (phase_cycles[1] - phase_cycles[0]) / T if order > 1 else 0.0
+    state = np.array([phase_cycles[0], start_hz, 0.0])
+    states = np.empty((len(phase_cycles), 3))
+    for k, phase in enumerate(phase_cycles):
+        state = state + gains * (phase - state[0])
+        states[k] = state
+        state = forward @ state
+    return states
 
 
 def root_sum_square(*sigmas: float) -> float:

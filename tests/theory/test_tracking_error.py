@@ -9,6 +9,7 @@ from hypothesis import given, settings
 
 from deepgnss.theory.tracking_error import (
     dll_thermal_sigma_chips,
+    loop_states,
     pll_thermal_sigma_cycles,
     root_sum_square,
 )
@@ -95,3 +96,18 @@ def test_noise_falls_with_power_time_and_narrowness(cn0, coherent, bandwidth):
 
 def test_root_sum_square():
     assert root_sum_square(3.0, 4.0, 12.0) == pytest.approx(13.0)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_loop_follows_the_polynomial_of_its_order(order):
+    t = 0.02 * np.arange(400)
+    phase = 0.3 + sum(c * t**k for k, c in enumerate((0.0, 5.0, 40.0)[:order]))
+    states = loop_states(phase, order, 10.0, 0.02)
+    assert states[-1, 0] == pytest.approx(phase[-1], abs=1e-6)
+    if order == 3:
+        assert states[-1] == pytest.approx([phase[-1], 5.0 + 80.0 * t[-1], 80.0], rel=1e-6)
+    beyond = phase + 10.0 * t**order
+    error = loop_states(beyond, order, 10.0, 0.02)[-1, 0] - beyond[-1]
+    wider = loop_states(beyond, order, 20.0, 0.02)[-1, 0] - beyond[-1]
+    assert error < 0.0
+    assert error / wider == pytest.approx(2.0**order, rel=0.35)  # lag goes as 1 / bandwidth^order

@@ -1,0 +1,128 @@
+"""Observations and true ranges as tables of one shape, whichever file they come from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.errors import InputFileError
+from deepgnss.core.records import BDS_B1I, GPS_L1CA, SignalId
+from deepgnss.io.input import reading
+from deepgnss.io.rinex_obs_reader import read_obs
+
+SIGNAL_OF_SYSTEM: Final[Mapping[str, SignalId]] = {"G": GPS_L1CA, "C": BDS_B1I}
+"""The signal that is compared, by system letter."""
+
+OBSERVATION_COLUMNS: Final = (
+    *("week", "tow_s", "satellite", "pseudorange_m", "carrier_cycles", "doppler_hz", "cn0_dbhz"),
+    *("slip", "half_cycle"),
+)
+"""Of `read_observations`: NaN where missing; `slip`, `half_cycle` bool, the bits 0 and 1 of LLI."""
+
+RANGE_COLUMNS: Final = ("week", "tow_s", "satellite", "range_m", "phase_m", "elevation_deg")
+"""Of `read_ranges`: pseudorange and carrier phase (growing with range) of a perfect receiver."""
+
+
+def wavelength_m(satellite: str) -> float:
+    """Carrier wavelength of a satellite's signal."""
+    return SPEED_OF_LIGHT_MPS / SIGNAL_OF_SYSTEM[satellite[0]].carrier_hz
+
+
+def wavelengths_m(satellites: pd.Series) -> pd.Series:
+    """Carrier wavelength row by row."""
+    return satellites.map({name: wavelength_m(name) for name in satellites.unique()}).astype(float)
+
+
+def read_observations(path: Path | str) -> pd.DataFrame:
+    """Read an observations.csv of ours or a RINEX observation file (2, 3) of anybody's.
+
+    Returns: columns OBSERVATION_COLUMNS, one row per epoch and satellite.
+    Raises InputFileError: the file cannot be read, or is neither.
+    """
+    path = Path(path)
+    if path.suffix != ".csv":
+        return _from_rinex(read_obs(path, "".join(SIGNAL_OF_SYSTEM)).frame)
+    frame = _table(path, ("week", "tow_s", "satellite", "pseudorange_m", "carrier_cycles"))
+    valid = frame["carrier_valid"] == 1
+    return frame.assign(
+        carrier_cycles=frame["carrier_cycles"].where(valid),
+        slip=frame["slip"] == 1,
+        half_cycle=frame["half_cycle"] == 1,
+    )[list(OBSERVATION_COLUMNS)]
+
+
+def _from_rinex(frame: pd.DataFrame) -> pd.DataFrame:
+    parts = []
+    for system, signal in SIGNAL_OF_SYSTEM.items():
+        rows = frame[frame["satellite"].str[0] == system]
+        if rows.empty or f"C{signal.rinex}" not in rows:
+            continue
+        phase = f"L{signal.rinex}"
+        blank = pd.Series(np.nan, rows.index)
+        lli = rows.get(f"{phase}_lli", pd.Series(0, rows.index))
+        parts.append(
+            pd.DataFrame(
+                {
+                    "week": rows["week"],
+                    "tow_s": rows["tow_s"],
+                    "satellite": rows["satellite"],
+                    "pseudorange_m": rows[f"C{signal.rinex}"],
+                    "carrier_cycles": rows.get(phase, blank),
+                    "doppler_hz": rows.get(f"D{signal.rinex}", blank),
+                    "cn0_dbhz": rows.get(f"S{signal.rinex}", blank),
+                    "slip": (lli & 1) > 0,
+                    "half_cycle": (lli & 2) > 0,
+                }
+            )
+        )
+    if not parts:
+        return pd.DataFrame(columns=list(OBSERVATION_COLUMNS))
+    return pd.concat(parts).sort_index(kind="stable").reset_index(drop=True)
+
+
+def read_ranges(path: Path | str) -> pd.DataFrame:
+    """Read a ranges.csv of the simulator: what a perfect GPS receiver and clock measure.
+
+    Where it has no `carrier_cycles` the phase follows the pseudorange (an ionosphere of one sign
+    on both).
+
+    Returns: columns RANGE_COLUMNS, one row per epoch and satellite.
+    Raises InputFileError: the file cannot be read, or is not one.
+    """
+    path = Path(path)
+    frame = _table(path, ("week", "tow", "prn", "el_deg", "pseudorange_m"))
+    range_m = frame["pseudorange_m"]
+    phase_m = range_m
+    if "carrier_cycles" in frame:
+        phase_m = frame["carrier_cycles"] * (SPEED_OF_LIGHT_MPS / GPS_L1CA.carrier_hz)
+    return pd.DataFrame(
+        {
+            "week": frame["week"],
+            "tow_s": frame["tow"],
+            "satellite": [f"G{prn:02d}" for prn in frame["prn"]],
+            "range_m": range_m,
+            "phase_m": phase_m,
+            "elevation_deg": frame["el_deg"],
+        }
+    )
+
+
+def read_channels(path: Path | str) -> pd.DataFrame:
+    """Read a channels.csv of ours; rows before time is known are left out."""
+    path = Path(path)
+    needed = ("week", "tow_s", "satellite", "coherent_s", "carrier_bandwidth_hz")
+    return _table(path, (*needed, "code_bandwidth_hz")).dropna(subset=["week", "tow_s"])
+
+
+def _table(path: Path, needed: tuple[str, ...]) -> pd.DataFrame:
+    with reading(path):
+        frame = pd.read_csv(path)
+    for name in needed:
+        if name not in frame:
+            raise InputFileError(f"{path}: column '{name}' is missing: not a {path.name}")
+    return frame
