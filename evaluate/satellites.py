@@ -111,21 +111,32 @@ def _judgements(
             " swapped (spectrum: inverted; for packed samples see packing.order too)"
         )
     elif drift is not None and abs(drift.clock_ppm) > _CLOCK_PPM + 4.0 * drift.sigma:
-        # An oscillator that is off moves code and carrier alike; these two errors do not.
-        off_ppm = -drift.clock_ppm
-        off_hz = off_ppm * 1e-6 * signal.id.carrier_hz
-        rate = f"the sample rate is {stream.sample_rate_hz * (1.0 + off_ppm * 1e-6):.0f} Hz"
-        place = f"the intermediate frequency is {stream.intermediate_hz + off_hz:.0f} Hz"
-        if abs(off_hz) < _USUAL_HZ:
-            causes = f"{rate}, or {place}"
-        else:  # Dopplers then tell which
-            causes = place if abs(centre_hz - off_hz) < _USUAL_HZ else rate
-        yield f"codes run {drift.clock_ppm:+.2f} ppm against the carriers: {causes}"
+        yield rate_finding(stream, signal, -drift.clock_ppm, centre_hz)
     elif len(found) >= 2 and abs(centre_hz) > _USUAL_HZ / 2.0:
         yield (
             f"Dopplers centre on {centre_hz:+.0f} Hz: the oscillator or the intermediate frequency"
             " is off by that"
         )
+
+
+def rate_finding(
+    stream: StreamInfo, signal: Signal, off_ppm: float, doppler_hz: float | None = None
+) -> str:
+    """What to change when the code runs off the carrier.
+
+    Parameters
+    ----------
+    off_ppm: by which the stream's sample rate would have to be changed to bring them together.
+    doppler_hz: the middle of the Dopplers, which tells what is wrong when much is.
+    """
+    off_hz = off_ppm * 1e-6 * signal.id.carrier_hz
+    rate = f"the sample rate is {stream.sample_rate_hz * (1.0 + off_ppm * 1e-6):.1f} Hz"
+    place = f"the intermediate frequency is {stream.intermediate_hz + off_hz:.0f} Hz"
+    if doppler_hz is None or abs(off_hz) < _USUAL_HZ:
+        causes = f"{rate}, or {place}"
+    else:
+        causes = place if abs(doppler_hz - off_hz) < _USUAL_HZ else rate
+    return f"codes run {-off_ppm:+.2f} ppm against the carriers: {causes}"
 
 
 def find_satellites(

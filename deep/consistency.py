@@ -1,0 +1,65 @@
+"""Code against carrier over a run: what an oscillator does to one it does to the other.
+
+A common drift between them means that samples do not come at the rate, or the carrier does not
+lie at the frequency, the description says.
+"""
+
+from __future__ import annotations
+
+from statistics import median
+from typing import NamedTuple
+
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.records import Epoch, SignalId
+from deepgnss.core.time import GpsTime
+
+TOLERATED_MPS = 6.0  # 0.02 ppm; the ionosphere drifts by centimetres per second
+_SHORTEST_S = 4.0  # of an arc that tells
+_FEWEST = 3  # satellites
+
+
+class _Arc(NamedTuple):
+    """Observations without a slip, from the first to the last."""
+
+    begin: GpsTime
+    first_m: float  # code minus carrier
+    end: GpsTime
+    last_m: float
+
+    @property
+    def seconds(self) -> float:
+        return self.end.since(self.begin)
+
+
+class CodeMinusCarrier:
+    """Takes epoch after epoch, and tells the common drift of code minus carrier."""
+
+    def __init__(self, signal: SignalId) -> None:
+        self._wavelength_m = SPEED_OF_LIGHT_MPS / signal.carrier_hz
+        self._arcs: dict[str, _Arc] = {}
+        self._longest: dict[str, _Arc] = {}
+
+    def add(self, epoch: Epoch) -> None:
+        """Take the observations of the signal's satellites at one output instant."""
+        for seen in epoch.observations:
+            if not seen.carrier_valid:
+                self._arcs.pop(seen.satellite, None)
+                continue
+            gap_m = seen.pseudorange_m - seen.carrier_cycles * self._wavelength_m
+            arc = self._arcs.get(seen.satellite)
+            if arc is None or seen.slip:
+                arc = _Arc(epoch.time, gap_m, epoch.time, gap_m)
+            else:
+                arc = arc._replace(end=epoch.time, last_m=gap_m)
+            self._arcs[seen.satellite] = arc
+            longest = self._longest.get(seen.satellite)
+            if longest is None or arc.seconds >= longest.seconds:
+                self._longest[seen.satellite] = arc
+
+    @property
+    def drift_mps(self) -> float | None:
+        """Median drift over the satellites' longest arcs; None where they are too short."""
+        told = [arc for arc in self._longest.values() if arc.seconds >= _SHORTEST_S]
+        if len(told) < _FEWEST:
+            return None
+        return median((arc.last_m - arc.first_m) / arc.seconds for arc in told)
