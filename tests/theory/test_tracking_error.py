@@ -107,7 +107,7 @@ def test_loop_follows_the_polynomial_of_its_order(order):
     if order == 3:
         assert states[-1] == pytest.approx([phase[-1], 5.0 + 80.0 * t[-1], 80.0], rel=1e-6)
     beyond = phase + 10.0 * t**order
-    error = loop_states(beyond, order, 10.0, 0.02)[-1, 0] - beyond[-1]
-    wider = loop_states(beyond, order, 20.0, 0.02)[-1, 0] - beyond[-1]
+    error = loop_states(beyond, order, 2.0, 0.02)[-1, 0] - beyond[-1]
+    wider = loop_states(beyond, order, 4.0, 0.02)[-1, 0] - beyond[-1]
     assert error < 0.0
     assert error / wider == pytest.approx(2.0**order, rel=0.35)  # lag goes as 1 / bandwidth^order
