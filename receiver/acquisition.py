@@ -44,6 +44,8 @@ __all__ = [
     "search",
 ]
 
+_LEAK_AMPLITUDE = 3.0  # of a cross-correlation, over noise: from a signal of 52 dB-Hz in 20 ms
+_RELATIVE_FALSE_ALARM = 1e-6  # noise must not explain satellites away
 _TAP_CELLS = 2.0  # early and late, half a chip off
 
 
@@ -196,12 +198,12 @@ def _search_all(
     periods: Periods,
     prns: Sequence[int],
     settings: AcquisitionSettings,
+    dopplers_hz: FloatArray,
     window: SearchWindow | None,
     executor: Executor | None,
 ) -> list[Acquisition]:
     signal = periods.signal
     coherent = round(settings.coherent_s / signal.period_s)
-    dopplers_hz = _grid_hz(settings, window)
     searches = [
         GridSearch(periods, prn, dopplers_hz.size, settings.coherent_s, window) for prn in prns
     ]
@@ -258,7 +260,7 @@ def search(
     Raises ValueError when the sums do not cover coherent × non-coherent time from `first` on.
     """
     periods = _cut(sums, first, signal, settings)
-    return _search_all(periods, [prn], settings, window, None)[0]
+    return _search_all(periods, [prn], settings, _grid_hz(settings, window), window, None)[0]
 
 
 def cold_search(
@@ -275,8 +277,16 @@ def cold_search(
     is the same with or without an executor.
     """
     periods = _cut(sums, first, signal, settings)
-    results = _search_all(periods, prns or signal.prns, settings, None, executor)
-    return _screen(results, signal, settings)
+    dopplers_hz = _grid_hz(settings, None)
+    wanted = prns or signal.prns
+    results = _search_all(periods, wanted, settings, dopplers_hz, None, executor)
+    screened = _screen(results, signal, settings)
+    rows_hz = _suspicious_rows(screened, signal, dopplers_hz)
+    if rows_hz.size == 0 or not signal.relatives:
+        return screened
+    clear = replace(settings, false_alarm=_RELATIVE_FALSE_ALARM)
+    relatives = _search_all(periods, signal.relatives, clear, rows_hz, None, executor)
+    return _screen([*results, *relatives], signal, settings)[: len(results)]
 
 
 # --- cross-correlation ---------------------------------------------------------------------------
@@ -301,6 +311,19 @@ def cross_power(signal: Signal, strong: Acquisition, weak: Acquisition, coherent
     coherent = round(coherent_s / signal.period_s)
     between = np.mean(np.exp(2j * np.pi * turns * np.arange(coherent)))
     return float(abs(within * between) ** 2)
+
+
+def _suspicious_rows(
+    results: Sequence[Acquisition], signal: Signal, dopplers_hz: FloatArray
+) -> FloatArray:
+    """Dopplers at which another code could cause the weak ones of the satellites found."""
+    step_hz = dopplers_hz[1] - dopplers_hz[0] if dopplers_hz.size > 1 else 0.0
+    chosen = np.zeros(dopplers_hz.size, dtype=bool)
+    for one in results:
+        if one.found and np.sqrt(one.peak_ratio) < np.sqrt(one.threshold) + _LEAK_AMPLITUDE:
+            apart = (dopplers_hz - one.doppler_hz) * signal.period_s
+            chosen |= np.abs(apart - np.rint(apart)) < 1.01 * step_hz * signal.period_s
+    return dopplers_hz[chosen]
 
 
 def _screen(

@@ -36,6 +36,9 @@ class Signal:
     primary_code: Callable[[int], NDArray[np.int8]]  # PRN → ±1 chips, logic 0 = +1
     secondary_code: tuple[int, ...]  # ±1, one per code period; empty: none
     symbol_periods: int  # code periods per navigation symbol
+    # Codes of the same family that others send on this carrier: never received, but known for
+    # what they leave in a search for weak satellites.
+    relatives: tuple[int, ...] = ()
 
     @property
     def period_s(self) -> float:
@@ -57,11 +60,16 @@ class Signal:
         return f"{self.id.system}{prn:02d}"
 
 
-# Phase selector delays of the G2 register in chips, PRN 1–32 (IS-GPS-200 table 3-Ia).
-_CA_DELAY_CHIPS = (
+# Delays of the G2 register in chips: GPS 1–32 (IS-GPS-200 table 3-Ia), SBAS 120–158 (DO-229
+# table A-1), QZSS 193–202 (IS-QZSS-PNT table 3.2.2-2).
+_CA_DELAY_CHIPS = dict(zip((*range(1, 33), *range(120, 159), *range(193, 203)), (
     5, 6, 7, 8, 17, 18, 139, 140, 141, 251, 252, 254, 255, 256, 257, 258,
     469, 470, 471, 472, 473, 474, 509, 512, 513, 514, 515, 516, 859, 860, 861, 862,
-)  # fmt: skip
+    145, 175, 52, 21, 237, 235, 886, 657, 634, 762, 355, 1012, 176, 603, 130, 359, 595, 68, 386,
+    797, 456, 499, 883, 307, 127, 211, 121, 118, 163, 628, 853, 484, 289, 811, 202, 1021, 463, 568,
+    904,
+    339, 208, 711, 189, 263, 537, 663, 942, 173, 900,
+), strict=True))  # fmt: skip
 
 
 def _shift_register(feedback: tuple[int, ...]) -> NDArray[np.int8]:
@@ -76,9 +84,9 @@ def _shift_register(feedback: tuple[int, ...]) -> NDArray[np.int8]:
 
 @cache
 def ca_code(prn: int) -> NDArray[np.int8]:
-    """C/A code of GPS PRN 1–32 as ±1 (logic 0 = +1), shape (1023,) (IS-GPS-200 3.2.1.3)."""
+    """C/A code of a PRN as ±1 (logic 0 = +1), shape (1023,) (IS-GPS-200 3.2.1.3)."""
     g1 = _shift_register((3, 10))
-    g2 = np.roll(_shift_register((2, 3, 6, 8, 9, 10)), _CA_DELAY_CHIPS[prn - 1])
+    g2 = np.roll(_shift_register((2, 3, 6, 8, 9, 10)), _CA_DELAY_CHIPS[prn])
     code = (1 - 2 * (g1 ^ g2)).astype(np.int8)
     code.flags.writeable = False
     return code
@@ -90,6 +98,7 @@ GPS_L1CA_SIGNAL = Signal(
     primary_code=ca_code,
     secondary_code=(),
     symbol_periods=20,
+    relatives=(*range(120, 159), *range(193, 203)),
 )
 
 SIGNALS: Mapping[str, Signal] = {GPS_L1CA.name: GPS_L1CA_SIGNAL}
