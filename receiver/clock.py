@@ -16,8 +16,12 @@ from deepgnss.core.records import SampleInstant
 from deepgnss.core.time import GpsTime
 
 NS = 1_000_000_000
-_BIAS_GAIN = 0.1  # share of a solution's clock residual taken into the model
-_DRIFT_GAIN = 0.05
+# The model never jumps: a bias is pulled in through the drift, over many seconds, so that Doppler
+# (which contains the model's drift) stays the exact rate of phase and range. The drift itself
+# comes from Doppler and is good.
+_BIAS_S = 20.0
+_DRIFT_S = 2.0
+_STEERED_S = 1e-7  # uncertainty of a clock that solutions steer
 
 
 def to_ns(time: GpsTime) -> int:
@@ -38,9 +42,10 @@ class ReceiverClock:
     sample_rate_hz: Fraction
     origin_ns: int
     bias_s: float = 0.0
-    drift_sps: float = 0.0
+    drift_sps: float = 0.0  # of the model
+    oscillator_sps: float = 0.0  # of the sample counter itself, as solutions see it
     since_s: float = 0.0
-    uncertainty_s: float = 1e-7  # of the origin, until a solution has steered it
+    uncertainty_s: float = _STEERED_S  # of the origin, until a solution has steered it
 
     def error_s(self, elapsed_s: float) -> float:
         """The sample counter's advance on GPST at a nominal time since sample 0."""
@@ -76,14 +81,29 @@ class ReceiverClock:
     ) -> ReceiverClock:
         """Model after a solution found the tag ahead of GPST by a bias, growing at a drift.
 
-        The first solution is taken whole, later ones smoothed.
+        The first solution is taken whole. Later ones bend the model without a step.
         """
         elapsed_s = float(Fraction(tag_ns - self.origin_ns, NS))
-        gain, drift_gain = (1.0, 1.0) if first else (_BIAS_GAIN, _DRIFT_GAIN)
+        here_s = self.error_s(elapsed_s)
+        measured_sps = self.drift_sps + drift_sps
+        if first:
+            return replace(
+                self,
+                bias_s=here_s + bias_s,
+                drift_sps=measured_sps,
+                oscillator_sps=measured_sps,
+                since_s=elapsed_s,
+                uncertainty_s=_STEERED_S,
+            )
+        passed_s = max(0.0, elapsed_s - self.since_s)
+        oscillator_sps = self.oscillator_sps - math.expm1(-passed_s / _DRIFT_S) * (
+            measured_sps - self.oscillator_sps
+        )
         return replace(
             self,
-            bias_s=self.error_s(elapsed_s) + gain * bias_s,
-            drift_sps=self.drift_sps + drift_gain * drift_sps,
+            bias_s=here_s,
+            drift_sps=oscillator_sps + bias_s / max(_BIAS_S, 2.0 * passed_s),
+            oscillator_sps=oscillator_sps,
             since_s=elapsed_s,
-            uncertainty_s=1e-7,
+            uncertainty_s=_STEERED_S,
         )

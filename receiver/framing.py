@@ -45,6 +45,11 @@ def start(satellite: str) -> FrameState:
     return FrameState(lnav.start(satellite))
 
 
+def resume(state: FrameState) -> FrameState:
+    """State for a satellite's next channel: its pages so far, but symbols counted anew."""
+    return FrameState(state.messages)
+
+
 def read_symbols(state: FrameState, channel: Channel, near: GpsTime | None) -> Found:
     """Look at what the channel has decided since the last call."""
     if state.stretch != channel.symbols_first:

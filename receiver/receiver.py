@@ -424,7 +424,7 @@ class Receiver:
             return None
         solution = pvt.solve(epoch, self.nav, self.settings.pvt, self.solution)
         if solution.valid and self.clock is not None:
-            first = self.solution is None
+            first = not self._steered
             self.clock = self.clock.steered(
                 tag_ns, solution.clock_s, solution.drift_sps, first=first
             )
