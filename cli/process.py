@@ -24,7 +24,7 @@ from deepgnss.cli.screen import (
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.errors import RecordingError
 from deepgnss.core.records import STAGES, SatelliteOutcome
-from deepgnss.deep.consistency import TOLERATED_MPS, CodeMinusCarrier
+from deepgnss.deep.consistency import TOLERATED_MPS
 from deepgnss.deep.engine import Engine, ScoutPass, check_agreement, workers
 from deepgnss.deep.outputs import FILES, Outputs
 from deepgnss.deep.setup import RunPlan, limits, plan_run
@@ -110,22 +110,21 @@ class _Run:
                 _interruptible(f"what was written so far ends in .part in {folder}"),
             ):
                 engine = Engine(self.plan, self.recording, knowledge, executor)
-                drift = CodeMinusCarrier(self.plan.signal.id)
-                outputs = self._process(engine, knowledge, drift)
+                outputs = self._process(engine, knowledge)
         outcomes = engine.receiver.accounts.outcomes
         if self.config.output.report and self.config.output.csv and outputs.tally.epochs:
             with self._stage("picture"):
                 _draw(self.config, folder)
         self._report(outputs, outcomes)
         if outputs.tally.fixed:
-            return self._is_consistent(drift.drift_mps)
+            return self._is_consistent(outputs.code_minus_carrier.drift_mps)
         if not self.plan.scout:
             self._refuse_misdescribed(outcomes)
         why = why_no_position(outcomes, self._seconds)
         self.screen.note(f"error: {self.path}: no position: {why}")
         return False
 
-    def _process(self, engine: Engine, knowledge: Knowledge, drift: CodeMinusCarrier) -> Outputs:
+    def _process(self, engine: Engine, knowledge: Knowledge) -> Outputs:
         with Outputs(self.config, self.plan, knowledge) as outputs:
             timed = False
             for result in engine.steps():
@@ -133,9 +132,6 @@ class _Run:
                     check_agreement(engine.receiver.clock, self.plan.knowledge)
                     timed = True
                 outputs.write(result)
-                for fix in result.fixes:
-                    if fix.output:
-                        drift.add(fix.epoch)
                 self._show(result)
             receiver = engine.receiver
             outputs.finish(receiver.nav, receiver.accounts.outcomes, {"config": _echo(self.config)})

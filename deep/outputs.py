@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any, Protocol, Self, TypeVar
 
 from deepgnss.core.records import NavData, SatelliteOutcome
+from deepgnss.deep.consistency import CodeMinusCarrier
 from deepgnss.deep.setup import RunPlan
 from deepgnss.io.config import Config
 from deepgnss.io.correlations import CorrelationWriter
@@ -74,6 +75,7 @@ class Outputs:
         """Open the files the config asks for, in a folder that is there."""
         self.folder = Path(config.output.directory)
         self.tally = Tally()
+        self.code_minus_carrier = CodeMinusCarrier(plan.signal.id)
         self._stack = ExitStack()
         self._config = config
         self._plan = plan
@@ -147,6 +149,7 @@ class Outputs:
         tally, solution = self.tally, fix.solution
         tally.epochs += 1
         tally.last = fix
+        self.code_minus_carrier.add(fix.epoch)
         tally.start = tally.start or fix
         if solution.valid:
             tally.fixed += 1
@@ -186,6 +189,7 @@ class Outputs:
             "epochs": tally.epochs,
             "epochs_fixed": tally.fixed,
             "first_fix_s": tally.first_fix_s,
+            "code_minus_carrier_mps": self.code_minus_carrier.drift_mps,
             "last_position_e_m": valid.solution.r_e_m if valid is not None else None,
             **more,
             "satellites": [outcome for outcome in outcomes if outcome.stage != "not searched"],

@@ -36,19 +36,21 @@ def diagnose(path: Path, form: StreamFormat, signal: Signal, skip_s: float) -> t
     with Recording([form], path) as recording:
         read = reader(recording)
         first = _sample(recording, skip_s)
+        count = round(_INSPECTED_S * form.sample_rate_hz)
+        rest = recording.streams[0].sample_count - first
+        looks = inspect(read(first, min(count, rest)), full_scale(form))
+        if looks.values.size == 1:
+            return looks.findings
         seen = survey(read, signal, first)
         if seen.found or seen.explained:
             return seen.findings
-        count = round(_INSPECTED_S * form.sample_rate_hz)
-        rest = recording.streams[0].sample_count - first
-        looks = inspect(read(first, min(count, rest)), full_scale(form)).findings
     for other in _other_formats(form):
         if _shows_satellites(path, other, signal, skip_s):
             text = f"satellites appear when samples are read as {_words(other)}, not {_words(form)}"
             if seen.repeats_hz is not None and seen.repeats_hz > 2.0 * signal.id.chip_rate_hz:
                 text += f" (or is the sample rate {seen.repeats_hz:.10g} Hz?)"
             return (text,)
-    return (*seen.findings, *looks)
+    return (*seen.findings, *looks.findings)
 
 
 def reader(recording: Recording, place: int = 0) -> Reader:

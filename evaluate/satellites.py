@@ -77,7 +77,8 @@ def survey(read: Reader, signal: Signal, first: int = 0) -> Survey:
     read: (first sample, count) → block; must reach `StreamInfo.sample_count`.
     """
     block = _block(read, first, _SEARCH_S)
-    found = find_satellites(block, signal)
+    reach_hz = _USUAL_HZ
+    found = find_satellites(block, signal, reach_hz)
     if not found:
         rate_hz = _wrong_rate_hz(read, first, signal)
         if rate_hz is not None:
@@ -88,14 +89,15 @@ def survey(read: Reader, signal: Signal, first: int = 0) -> Survey:
             turns = abs(math.log2(rate_hz / block.stream.sample_rate_hz))
             doubtful = turns > 0.5 and abs(turns - round(turns)) < 0.01  # values lost or made up
             return Survey(signal, (), None, (text,), rate_hz, explained=not doubtful)
-        for changed, text in _alternatives(block):
-            if convincing(find_satellites(changed, signal)):
-                return Survey(signal, (), None, (text,))
-        found = find_satellites(block, signal, _WIDE_HZ)
+        reach_hz = _WIDE_HZ
+        found = find_satellites(block, signal, reach_hz)
         if not convincing(found):
+            for changed, text in _alternatives(block):
+                if convincing(find_satellites(changed, signal)):
+                    return Survey(signal, (), None, (text,))
             text = "no satellites: no antenna, a wrong format, or a wrong intermediate frequency?"
             return Survey(signal, (), None, (text,), explained=False)
-    drift = _drift(read, first, signal, found)
+    drift = _drift(read, first, signal, found, reach_hz)
     findings = tuple(_judgements(block.stream, signal, found, drift))
     return Survey(signal, tuple(found), drift, findings)
 
@@ -140,7 +142,7 @@ def rate_finding(
 
 
 def find_satellites(
-    block: SampleBlock, signal: Signal, doppler_max_hz: float = 6e3
+    block: SampleBlock, signal: Signal, doppler_max_hz: float = _USUAL_HZ
 ) -> list[Acquisition]:
     """Satellites found in a block of milliseconds, strongest first; whole periods are used."""
     seconds = len(block.samples) / block.stream.sample_rate_hz
@@ -195,6 +197,8 @@ def repetition_rate_hz(block: SampleBlock, period_s: float = 1e-3) -> float | No
     spectrum = scipy.fft.fft(z, size)
     power = np.abs(spectrum) ** 2
     smooth = _smooth(power, size // 2048)
+    if not np.any(smooth):
+        return None
     power = np.minimum(power / np.maximum(smooth, smooth.max() * 1e-9), 20.0)  # lines cut off
     correlation = np.abs(scipy.fft.ifft(power)[: z.size // 4])
     correlation /= float(np.median(correlation)) / math.sqrt(math.log(4.0))  # Rayleigh: σ = 1
@@ -262,13 +266,15 @@ def convincing(found: Sequence[Acquisition]) -> bool:
     return len(found) >= 2 or any(one.peak_ratio > 2.0 * one.threshold for one in found)
 
 
-def _drift(read: Reader, first: int, signal: Signal, found: Sequence[Acquisition]) -> Drift | None:
+def _drift(
+    read: Reader, first: int, signal: Signal, found: Sequence[Acquisition], reach_hz: float
+) -> Drift | None:
     stream = _block(read, first, 0.0).stream
     rest_s = (stream.sample_count - first) / stream.sample_rate_hz - _SEARCH_S
     if rest_s < 0.3 or len(found) < 3:
         return None
     later = first + round(min(rest_s, _DRIFT_S) * stream.sample_rate_hz)
-    again = find_satellites(_block(read, later, _SEARCH_S), signal)
+    again = find_satellites(_block(read, later, _SEARCH_S), signal, reach_hz)
     if not again:
         return None
     return code_drift(

@@ -144,8 +144,9 @@ def _line_weights(spectra: Complex64Array) -> NDArray[np.float32]:
     centres = (np.arange(stretches) + 0.5) * _LINE_STRETCH
     floor = np.interp(np.arange(cells), centres, levels, period=cells)
     limit = scipy.special.gammainccinv(periods, _LINE_CHANCE) / periods
-    weights = np.where(power > limit * floor, floor / power, 1.0)
-    return weights.astype(np.float32)
+    weights = np.ones(cells, dtype=np.float32)
+    np.divide(floor, power, out=weights, where=power > limit * floor, casting="same_kind")
+    return weights
 
 
 @cache
@@ -272,6 +273,7 @@ class GridSearch:
         """
         median = float(np.median(np.concatenate(self._noise)))
         noise = median * blocks / float(scipy.special.gammaincinv(blocks, 0.5))
+        noise = max(noise, float(np.finfo(np.float64).tiny))  # a recording of zeros
         highest = np.concatenate(self._highest).astype(np.float64) / noise
         excess = np.concatenate(self._means) / noise - 1.0
         excess -= 3.0 * np.sqrt(self._own / (self._code.size * blocks))  # by chance
