@@ -147,7 +147,7 @@ def find_sample_slips(
                 slips += _between(here, *pair)
             aged = abs(now.first - here.tracks[0].sample) > _FOLLOW_S * stream.sample_rate_hz
             if aged or abs(now.shift_chips) > _SAME_CHIPS:
-                here = _followed(here, now)
+                here = _followed(here, now, way)
                 now = now._replace(shift_chips=0.0)
             before = now
     names = tuple(signal.satellite(track.prn) for track in tracks)
@@ -194,11 +194,15 @@ def _tracks(found: Sequence[Acquisition], first: int) -> tuple[_Track, ...]:
     )
 
 
-def _followed(scene: _Scene, probe: _Probe) -> _Scene:
-    """The tracks moved on to a probe, with Doppler and code measured anew where they can be."""
+def _followed(scene: _Scene, probe: _Probe, way: int) -> _Scene:
+    """The tracks moved on to a probe, with Doppler and code measured anew where they can be.
+
+    The samples measured lie on the far side of the probe: what was passed may hold a slip.
+    """
     stream, signal = scene.stream, scene.signal
     count = _search_samples(stream, _FOLLOW)
-    first = min(probe.first, stream.sample_count - count)
+    first = probe.first if way > 0 else probe.last - count
+    first = min(max(first, 0), stream.sample_count - count)
     shift = probe.shift_chips or 0.0
     moved = []
     sums = _sums(scene.read, first, count, signal)
