@@ -20,13 +20,13 @@ from deepgnss.core.time import GpsTime, from_utc
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.io.snappergps import read_snapshots
 from deepgnss.receiver.coarse_time import Rough
+from deepgnss.receiver.mirror import mirror_doppler_hz
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL as L1CA
 from deepgnss.receiver.snapshot import (
     Snapshot,
     SnapshotSettings,
     locate,
     locate_series,
-    mirror_doppler_hz,
 )
 
 FLIGHT = "real/if/iotgnss-flight/sxnsr_test_data_flight.12n"
