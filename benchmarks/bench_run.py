@@ -3,27 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from statistics import median
-from typing import NamedTuple
 
+from children import DEEPGNSS, Ran, run
 from rich.console import Console
 from rich.table import Table
 
 CHANNELS = 8  # of the preset
 ALLOWED_S = 0.012  # CPU time per channel and second of signal
-COMMAND = (sys.executable, "-m", "deepgnss.cli.main")
-
-
-class Cost(NamedTuple):
-    """What a child process took."""
-
-    cpu_s: float
-    resident_mb: float  # at its peak
 
 
 def main() -> None:
@@ -35,7 +24,7 @@ def main() -> None:
     console = Console(width=100)
     with tempfile.TemporaryDirectory(prefix="deepgnss-bench-") as folder:
         place = Path(folder)
-        run([*COMMAND, *_simulate(options.long, place)])
+        run([*DEEPGNSS, *_simulate(options.long, place)])
         run(_process(place, options.short))  # compiles the kernels
         short, long = (
             [run(_process(place, seconds)) for _ in range(options.runs)]
@@ -43,20 +32,6 @@ def main() -> None:
         )
         console.print(_totals(options.short, short, options.long, long))
         console.print(_by_stage(place, options.long))
-
-
-def run(command: list[str]) -> Cost:
-    """Run a child process to its end; it must succeed."""
-    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    assert child.stderr is not None
-    said = child.stderr.read()
-    _, status, usage = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
-    child.stderr.close()
-    if child.returncode:
-        raise SystemExit(said)
-    unit = 2**20 if sys.platform == "darwin" else 2**10
-    return Cost(usage.ru_utime + usage.ru_stime, usage.ru_maxrss * unit / 1e6)
 
 
 def _simulate(seconds: float, place: Path) -> list[str]:
@@ -77,10 +52,10 @@ def _arguments(place: Path, seconds: float, start: str) -> list[str]:
 
 
 def _process(place: Path, seconds: float) -> list[str]:
-    return [*COMMAND, "process", *_arguments(place, seconds, "causal")]
+    return [*DEEPGNSS, "process", *_arguments(place, seconds, "causal")]
 
 
-def _totals(short_s: float, short: list[Cost], long_s: float, long: list[Cost]) -> Table:
+def _totals(short_s: float, short: list[Ran], long_s: float, long: list[Ran]) -> Table:
     table = Table(title="Whole program, one thread, all outputs at 1 Hz", title_justify="left")
     for name in ("recording", "CPU", "× real time", "peak memory"):
         table.add_column(name, justify="right")
