@@ -129,7 +129,7 @@ class Receiver:
         self._memory: dict[int, PhaseMemory] = {}
         self._hatch: dict[int, HatchState] = {}
         self._searcher = Searcher(signal, settings.acquisition, settings.searching, sample_rate_hz)
-        self._steered = knowledge.position_e_m is not None and knowledge.clock is not None
+        self._steered = knowledge.clock is not None  # tags mean GPST, to what is known of it
         self._last_tag_ns: int | None = None
         self._last_place: tuple[FloatArray, FloatArray] | None = None
         self._events: list[Event] = []
