@@ -8,13 +8,14 @@ PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3.14 python3 p
 	$$p -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
 	&& echo $$p && break; done)
 
-.PHONY: help demo test check lint types floors bench docs clean
+.PHONY: help demo test check lint types floors bench bench-peers docs clean
 
 help:
 	@echo "make demo   simulate a drive and process it: observations, positions, reports in demo/out"
 	@echo "make test   all tests but the slow ones"
 	@echo "make check  lint, format, types, import floors"
 	@echo "make bench  speed of the correlator and of a whole run"
+	@echo "make bench-peers   GNSS-SDR (where installed) and deepgnss on the demo recording"
 	@echo "make docs   docs/config.md from the schema"
 
 $(STAMP): pyproject.toml
@@ -50,6 +51,13 @@ floors: $(STAMP)
 
 bench: $(STAMP)
 	@for script in benchmarks/bench_*.py; do $(BIN)/python $$script || exit 1; done
+
+# On another recording: make bench-peers PEERS="rec.bin --config car.yaml --ranges ranges.csv"
+PEERS ?= demo/rec.bin --config demo/config.yaml --set output.interval=0.1 --ranges demo/ranges.csv
+bench-peers: $(STAMP)
+	test -n "$(filter-out demo/rec.bin,$(firstword $(PEERS)))" || test -f demo/rec.bin \
+		|| $(BIN)/deepgnss simulate --preset demo --output demo
+	$(BIN)/python benchmarks/side_by_side.py $(PEERS)
 
 docs: $(STAMP)
 	$(BIN)/deepgnss config --reference > docs/config.md
