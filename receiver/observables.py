@@ -87,7 +87,9 @@ def observe(
             signal=channel.signal.id.name,
             pseudorange_m=pseudorange_m,
             carrier_cycles=phase + ambiguity + (interval.half_cycle or 0.0),
-            doppler_hz=carrier.frequency * (1.0 + clock.drift_sps) + frequency_hz * clock.drift_sps,
+            # The clock model's drift is per second of the sample counter, Doppler per GPST's.
+            doppler_hz=(carrier.frequency + frequency_hz * clock.drift_sps)
+            / (1.0 - clock.drift_sps),
             cn0_dbhz=interval.cn0_dbhz,
             lock_time_s=(instant.sample - interval.phase_since) / rate_hz if valid else 0.0,
             slip=interval.slips != memory.slips,

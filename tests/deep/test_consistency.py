@@ -1,11 +1,15 @@
-"""Code minus carrier: its common drift, over arcs without slips."""
+"""A run against what it was told: common drift of code minus carrier, and the date."""
+
+from dataclasses import replace
 
 import pytest
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
-from deepgnss.core.records import GPS_L1CA, Epoch, Observation, SampleInstant
+from deepgnss.core.errors import InputFileError
+from deepgnss.core.records import GPS_L1CA, Epoch, NavData, Observation, SampleInstant
 from deepgnss.core.time import GpsTime
-from deepgnss.deep.consistency import CodeMinusCarrier
+from deepgnss.deep.consistency import CodeMinusCarrier, check_week
+from deepgnss.sim.constellation import nominal_gps
 
 WAVELENGTH_M = SPEED_OF_LIGHT_MPS / GPS_L1CA.carrier_hz
 START = GpsTime(2290, 604_795.0)  # arcs run over the end of a week
@@ -74,3 +78,16 @@ def test_little_is_nothing(seconds: int, satellites: int) -> None:
         for t in range(seconds + 1)
     ]
     assert drift_over(epochs) is None
+
+
+def test_ephemerides_sent_must_be_of_the_day() -> None:
+    sent = nominal_gps(START, 60.0)
+    (satellite, several), *_ = sent.ephemerides.items()
+    week_off = tuple(replace(e, toe=e.toe.plus(-604_800.0)) for e in several)
+    given = NavData({satellite: week_off})
+    check_week(START, given, given)  # nothing decoded: nothing to hold it against
+    check_week(START, NavData(), sent)
+    both = NavData({satellite: (*week_off, *several)})
+    check_week(START, given, both)
+    with pytest.raises(InputFileError, match=rf"{satellite} sends .* 7\.\d days from"):
+        check_week(START.plus(-604_800.0), given, both)
