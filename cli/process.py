@@ -24,7 +24,7 @@ from deepgnss.cli.screen import (
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.errors import RecordingError
 from deepgnss.core.records import STAGES, SatelliteOutcome
-from deepgnss.deep.consistency import TOLERATED_MPS
+from deepgnss.deep.consistency import TOLERATED_MPS, check_week
 from deepgnss.deep.engine import Engine, ScoutPass, check_agreement, workers
 from deepgnss.deep.outputs import FILES, Outputs
 from deepgnss.deep.setup import RunPlan, limits, plan_run
@@ -100,7 +100,7 @@ class _Run:
                 with self._stage("scout pass"), _interruptible("the scout pass; nothing written"):
                     engine = Engine(self.plan, self.recording, knowledge, executor)
                     scout = ScoutPass(engine, self.plan)
-                    for result in scout.steps():
+                    for result in self._checked(engine, scout.steps()):
                         self._show(result)
                     knowledge = scout.knowledge
                     if scout.first_fix is None:
@@ -126,16 +126,24 @@ class _Run:
 
     def _process(self, engine: Engine, knowledge: Knowledge) -> Outputs:
         with Outputs(self.config, self.plan, knowledge) as outputs:
-            timed = False
-            for result in engine.steps():
-                if engine.receiver.clock is not None and not timed:
-                    check_agreement(engine.receiver.clock, self.plan.knowledge)
-                    timed = True
+            for result in self._checked(engine, engine.steps()):
                 outputs.write(result)
                 self._show(result)
             receiver = engine.receiver
             outputs.finish(receiver.nav, receiver.accounts.outcomes, {"config": _echo(self.config)})
         return outputs
+
+    def _checked(self, engine: Engine, steps: Iterator[StepResult]) -> Iterator[StepResult]:
+        """Results of an engine as long as its satellites do not contradict date and NAV file."""
+        receiver, given = engine.receiver, self.plan.knowledge
+        timed = False
+        for result in steps:
+            if receiver.clock is not None and not timed:
+                check_agreement(receiver.clock, given)
+                timed = True
+            if receiver.clock is not None and result.subframes:
+                check_week(receiver.clock.time(result.end), given.nav, receiver.nav)
+            yield result
 
     def _refuse_misdescribed(self, outcomes: Sequence[SatelliteOutcome]) -> None:
         """Say what is wrong with the description where hardly a satellite could be tracked."""

@@ -1,8 +1,4 @@
-"""Code against carrier over a run: what an oscillator does to one it does to the other.
-
-A common drift between them means that samples do not come at the rate, or the carrier does not
-lie at the frequency, the description says.
-"""
+"""What a run finds against what it was told: sample rate and frequency, date, NAV file."""
 
 from __future__ import annotations
 
@@ -10,12 +6,14 @@ from statistics import median
 from typing import NamedTuple
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
-from deepgnss.core.records import Epoch, SignalId
+from deepgnss.core.errors import InputFileError
+from deepgnss.core.records import Epoch, NavData, SignalId
 from deepgnss.core.time import GpsTime
 
 TOLERATED_MPS = 6.0  # 0.02 ppm; the ionosphere drifts by centimetres per second
 _SHORTEST_S = 4.0  # of an arc that tells
 _FEWEST = 3  # satellites
+_REACH_S = 12 * 3600.0  # of an ephemeris about its reference time, amply
 
 
 class _Arc(NamedTuple):
@@ -32,7 +30,11 @@ class _Arc(NamedTuple):
 
 
 class CodeMinusCarrier:
-    """Takes epoch after epoch, and tells the common drift of code minus carrier."""
+    """Takes epoch after epoch, and tells the common drift of code minus carrier.
+
+    What an oscillator does to one it does to the other: a drift between them means that samples
+    do not come at the rate, or the carrier does not lie at the frequency, the description says.
+    """
 
     def __init__(self, signal: SignalId) -> None:
         self._wavelength_m = SPEED_OF_LIGHT_MPS / signal.carrier_hz
@@ -63,3 +65,22 @@ class CodeMinusCarrier:
         if len(told) < _FEWEST:
             return None
         return median((arc.last_m - arc.first_m) / arc.seconds for arc in told)
+
+
+def check_week(time: GpsTime, given: NavData, known: NavData) -> None:
+    """Refuse a date, of the config or a NAV file, that is not the one the satellites send.
+
+    Parameters
+    ----------
+    time: by the receiver. given: ephemerides a run began with. known: these, and
+        what was decoded since.
+    """
+    for satellite, several in known.ephemerides.items():
+        for ephemeris in several:
+            gap_s = ephemeris.toe.since(time)
+            if abs(gap_s) > _REACH_S and ephemeris not in given.ephemerides.get(satellite, ()):
+                raise InputFileError(
+                    f"nav, recording.start_time: {satellite} sends an ephemeris of "
+                    f"{ephemeris.toe.calendar():%Y-%m-%d %H:%M}, {abs(gap_s) / 86400:.1f} days "
+                    "from the date they give"
+                )
