@@ -21,7 +21,7 @@ from deepgnss.sim.output import write_scenario
 from deepgnss.sim.presets import preset
 
 RATE_HZ = 2.6e6
-SECONDS = 7.5
+SECONDS = 6.8
 STREAM = "recording.streams[0]"
 
 
@@ -114,7 +114,6 @@ def test_truncated_recording_is_taken_as_far_as_asked(drive: Path, tmp_path: Pat
         (("sample_rate=2.7e6",), "codes repeat every 2600 samples: a sample rate of 2600000 Hz"),
         (("sample_rate=2600026",), "against the carriers: the sample rate is 26000"),
         (("intermediate_frequency=9000",), "the intermediate frequency is "),
-        (("intermediate_frequency=0.5e6",), "appear with the intermediate frequency at 0"),
         (("iq_order=qi",), "the spectrum is inverted, or I and Q are swapped"),
         (("format=int8",), "read as bits2 iq, not int8 iq"),
     ],
