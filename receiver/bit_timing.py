@@ -103,7 +103,8 @@ class TimeEvidence:
         """Possible corrections of time within ± reach, and their evidence by the edges."""
         reach = math.ceil(reach_s / self.period_s)
         n = np.arange(-reach, reach + 1)
-        return self.nearest_s + n * self.period_s, self.edges[np.mod(n, self.edges.size)]
+        times_s = self.nearest_s + n.astype(np.float64) * self.period_s
+        return times_s, self.edges[np.mod(n, self.edges.size)]
 
     def estimate(self) -> TimeEstimate:
         """Time by this snapshot alone."""

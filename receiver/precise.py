@@ -234,7 +234,7 @@ def look(
     Parameters: false_alarm, the probability that noise alone is taken for the satellite.
     """
     steps = math.ceil(code_half_chips / _LOOK_CHIPS)
-    offsets = np.arange(-steps, steps + 1) * _LOOK_CHIPS
+    offsets = np.arange(-steps, steps + 1, dtype=np.float64) * _LOOK_CHIPS
     c = correlate_snapshot(
         block, signal, prn, doppler_hz, code_chips % signal.id.code_chips, offsets
     )
