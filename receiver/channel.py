@@ -510,7 +510,7 @@ class Channel:
             self._phase_valid,
             self.slips,
             self._phase_since,
-            cn0_dbhz(self.locks, self.signal.period_s),
+            self.cn0_dbhz,
             self.half_cycle,
         )
 
@@ -521,6 +521,11 @@ class Channel:
                 return interval
         return self.history[0]
 
+    @property
+    def cn0_dbhz(self) -> float:
+        """C/N0 of about the last second."""
+        return cn0_dbhz(self.locks, self.signal.period_s)
+
     def report(self, stage: str) -> ChannelReport:
         """State now, for logs and screen."""
         phase = self.mode is Mode.PHASE
@@ -529,7 +534,7 @@ class Channel:
             signal=self.signal.id.name,
             stage=stage,
             mode=self.mode.value,
-            cn0_dbhz=cn0_dbhz(self.locks, self.signal.period_s),
+            cn0_dbhz=self.cn0_dbhz,
             doppler_hz=self.command.carrier_hz,
             carrier_lock=self.locks.phase,
             aiding_minus_loop_hz=self._aiding.frequency_hz - self.command.carrier_hz

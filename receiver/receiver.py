@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -370,17 +370,31 @@ class Receiver:
     def _is_copy(self, channel: Channel, item: Ephemeris | lnav.IonoUtc) -> bool:
         """True, and the channel dropped, when it reads another satellite's message.
 
-        A channel locked to the cross-correlation of a strong satellite decodes that one's orbit.
+        A channel locked to the cross-correlation of a strong satellite decodes that one's orbit;
+        should it be the first to tell, the other, weaker one is dropped with what it told.
         """
         if not isinstance(item, Ephemeris):
             return False
         for satellite, others in self.nav.ephemerides.items():
-            if satellite == channel.satellite:
+            same = [e for e in others if (e.m0_rad, e.omega_rad) == (item.m0_rad, item.omega_rad)]
+            if satellite == channel.satellite or not same:
                 continue
-            if any(e.m0_rad == item.m0_rad and e.omega_rad == item.omega_rad for e in others):
-                channel.drop(f"cross-correlation: sends the orbit of {satellite}")
+            rival = self.channels.get(int(satellite[1:]))
+            if rival is None or rival.cn0_dbhz >= channel.cn0_dbhz:
+                self._drop(channel, f"cross-correlation: sends the orbit of {satellite}")
                 return True
+            self._drop(rival, f"cross-correlation: sends the orbit of {channel.satellite}")
+            kept = tuple(e for e in others if e not in same)
+            ephemerides = {**self.nav.ephemerides, satellite: kept}
+            self.nav = replace(
+                self.nav, ephemerides={name: sets for name, sets in ephemerides.items() if sets}
+            )
+            return False
         return False
+
+    def _drop(self, channel: Channel, reason: str) -> None:
+        channel.drop(reason)
+        self._events.append(channel.events[-1])
 
     # --- observables and position --------------------------------------------------------------
 
@@ -450,6 +464,8 @@ class Receiver:
         epoch_time = from_ns(tag_ns)
         observations = []
         for prn, channel in sorted(self.channels.items()):
+            if channel.mode is Mode.LOST:  # dropped since it ran
+                continue
             memory = self._memory[prn]
             seen = observe(channel, self.clock, tag_ns, instant, memory)
             if seen is not None:
