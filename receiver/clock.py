@@ -81,10 +81,13 @@ class ReceiverClock:
     ) -> ReceiverClock:
         """Model after a solution found the tag ahead of GPST by a bias, growing at a drift.
 
-        The first solution is taken whole. Later ones bend the model without a step.
+        The first solution is taken whole. Later ones bend the model without a step. The drift is
+        NaN where a solution has no velocity: the model keeps its own.
         """
         elapsed_s = float(Fraction(tag_ns - self.origin_ns, NS))
         here_s = self.error_s(elapsed_s)
+        if math.isnan(drift_sps):
+            drift_sps = self.oscillator_sps - self.drift_sps
         measured_sps = self.drift_sps + drift_sps
         if first:
             return replace(

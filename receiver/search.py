@@ -66,7 +66,8 @@ def predict_sights(place: Place, nav: NavData, signal: Signal) -> list[Sight]:
                 chosen.append(ephemeris)
     if not chosen:
         return []
-    seen = orbits.predict(chosen, place.time, place.r_e_m, place.v_e_mps)
+    v_e_mps = np.nan_to_num(place.v_e_mps)  # a position may lack its velocity
+    seen = orbits.predict(chosen, place.time, place.r_e_m, v_e_mps)
     received_hz = -seen.pseudorange_rate_mps / SPEED_OF_LIGHT_MPS * signal.id.carrier_hz
     doppler_hz = (received_hz - place.drift_sps * signal.id.carrier_hz) / (1.0 + place.drift_sps)
     return [

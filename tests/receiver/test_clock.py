@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 
 import numpy as np
@@ -118,3 +119,17 @@ def test_a_model_of_later_times_is_not_spoilt_by_the_first_solution() -> None:
     assert start.error_s(0.1) == pytest.approx(scouted.error_s(0.1), abs=1e-15)
     later = start.steered(ORIGIN_NS + NS // 5, 0.0, 3e-9, first=False)
     assert 2e-7 < later.oscillator_sps < 2.005e-7
+
+
+def test_solution_without_velocity_leaves_the_drift() -> None:
+    clock = ReceiverClock(Fraction(4_000_000), ORIGIN_NS).steered(
+        ORIGIN_NS + NS, 2e-6, 3e-7, first=True
+    )
+    later_ns = ORIGIN_NS + 2 * NS
+    without = clock.steered(later_ns, 1e-8, math.nan, first=False)
+    agreeing = clock.steered(later_ns, 1e-8, clock.oscillator_sps - clock.drift_sps, first=False)
+    assert without == agreeing
+    first = ReceiverClock(Fraction(4_000_000), ORIGIN_NS).steered(
+        ORIGIN_NS + NS, 2e-6, math.nan, first=True
+    )
+    assert (first.drift_sps, first.bias_s) == (0.0, 2e-6)
