@@ -33,8 +33,11 @@ NO_LOCK = LockState(0.0, 0.0, 0.0, (), 0.0, 0.0, 0.0, 0j)
 
 
 def restart_phase(state: LockState) -> LockState:
-    """Forget what was seen of an earlier phase lock."""
-    return state._replace(phase=0.0, phase_seconds=0.0, products=0j)
+    """Forget what was seen of an earlier phase lock.
+
+    The next symbol outweighs powers averaged before: across symbol edges those are too low.
+    """
+    return state._replace(seconds=0.0, phase=0.0, phase_seconds=0.0, products=0j)
 
 
 def update_locks(state: LockState, seen: Accumulated) -> LockState:

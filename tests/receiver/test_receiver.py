@@ -1,0 +1,218 @@
+"""What the receiver concludes from its channels: time, copies, hand-over from prediction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from simulated_sky import CARRIER_HZ, STEADY_DBHZ, shared_sky, start_channel
+
+from deepgnss.core.constants import SECONDS_PER_WEEK
+from deepgnss.core.records import NavData
+from deepgnss.core.time import GpsTime
+from deepgnss.receiver import lnav
+from deepgnss.receiver.acquisition import AcquisitionSettings
+from deepgnss.receiver.clock import NS, ReceiverClock, to_ns
+from deepgnss.receiver.feed import SumFeed
+from deepgnss.receiver.locks import LockState
+from deepgnss.receiver.modes import Mode, TrackingSettings
+from deepgnss.receiver.receiver import Knowledge, Receiver, ReceiverSettings, _Head
+from deepgnss.receiver.signals import GPS_L1CA_SIGNAL
+
+RATE_HZ = 2.6e6
+SETTINGS = ReceiverSettings(output_ns=NS // 10)
+
+
+def _true_clock() -> ReceiverClock:
+    scenario = shared_sky().scenario
+    drift_sps = scenario.clock.drift_sps
+    return ReceiverClock(
+        Fraction(RATE_HZ), to_ns(scenario.start), scenario.clock.offset_s, drift_sps, drift_sps
+    )
+
+
+def _feed() -> SumFeed:
+    sky = shared_sky()
+    return SumFeed(lambda f, n: sky.read("L1", f, n), sky.stream, CARRIER_HZ, 0)
+
+
+def _receiver(knowledge: Knowledge) -> Receiver:
+    return Receiver(GPS_L1CA_SIGNAL, RATE_HZ, SETTINGS, knowledge)
+
+
+# --- hand-over -----------------------------------------------------------------------------------
+
+
+def test_with_time_place_and_orbits_the_first_epoch_knows_all() -> None:
+    """Channels start with transmit time and symbol edges, no frame has been seen."""
+    sky = shared_sky()
+    place_e_m = sky.scenario.trajectory.at(np.zeros(1)).r_m[0]
+    knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m + 500.0)
+    receiver = _receiver(knowledge)
+    receiver.step(_feed(), 0, 260_000)
+    found = {channel.satellite: channel for channel in receiver.channels.values()}
+    strong = [e.satellite for e in sky.scenario.emitters if e.cn0_dbhz[0][1] > 31.0]
+    assert set(strong) <= set(found)
+    assert set(found) <= {e.satellite for e in sky.scenario.emitters}
+    for satellite, channel in found.items():
+        command = channel.command
+        truth = sky.truth(satellite, np.array([command.sample]))
+        assert channel.anchor is not None
+        sent_s = (channel.anchor + channel.periods) * 1e-3 % SECONDS_PER_WEEK - truth.whole_s
+        assert sent_s + command.code_chips / 1.023e6 == pytest.approx(truth.sent_s[0], abs=3e-7)
+        assert channel.edge is not None
+        assert (channel.anchor + channel.edge) % 20 == 0
+
+
+@pytest.mark.parametrize("cn0_dbhz", STEADY_DBHZ[:6])
+def test_cold_search_starts_channels_near_the_truth(cn0_dbhz: float) -> None:
+    """Within what pull-in bears: a quarter of a chip and 10 Hz."""
+    sky, receiver = shared_sky(), _cold()
+    satellite = next(e.satellite for e in sky.scenario.emitters if e.cn0_dbhz[0][1] == cn0_dbhz)
+    assert satellite in receiver
+    code_chips, doppler_hz = receiver[satellite]
+    truth = sky.truth(satellite, np.array([0, 26_000]))
+    off = (code_chips - truth.code_chips[0] + 511.5) % 1023 - 511.5
+    assert abs(off) < 0.25
+    true_hz = (truth.carrier_cycles[1] - truth.carrier_cycles[0]) * 100.0
+    assert doppler_hz == pytest.approx(true_hz, abs=10.0)
+
+
+_found: dict[str, tuple[float, float]] = {}
+
+
+def _cold() -> dict[str, tuple[float, float]]:
+    if not _found:
+        from deepgnss.receiver.acquisition import cold_search
+
+        sums = _feed().over(0, int(0.03 * RATE_HZ))
+        for seen in cold_search(sums, 0, GPS_L1CA_SIGNAL, AcquisitionSettings()):
+            if seen.found:
+                _found[seen.satellite] = (seen.code_chips, seen.doppler_hz)
+    return _found
+
+
+# --- time ----------------------------------------------------------------------------------------
+
+
+def _with_channel(receiver: Receiver, satellite: str, symbols_first: int = 300) -> None:
+    channel = start_channel(shared_sky(), satellite, TrackingSettings())
+    channel.mode = Mode.PHASE
+    channel.symbols_first = symbols_first
+    receiver.channels[int(satellite[1:])] = channel
+
+
+def _head(receiver: Receiver, prn: int, start_tow_s: int, first: int, confirmed: bool) -> _Head:
+    channel = receiver.channels[prn]
+    frame = lnav.Frame(first, 1, start_tow_s, 1, confirmed, None)
+    return _Head(channel, channel.symbols_first, frame)
+
+
+def _two_or_more(count: int, near: GpsTime, confirmed: bool = False) -> Receiver:
+    receiver = _receiver(Knowledge(near=near))
+    for emitter in shared_sky().scenario.emitters[:count]:
+        _with_channel(receiver, emitter.satellite)
+        receiver._heads[emitter.prn] = _head(receiver, emitter.prn, 382_260, 10, confirmed)
+    receiver._take_heads()
+    return receiver
+
+
+@pytest.mark.parametrize(("count", "confirmed", "believed"), [
+    (1, False, False), (2, False, False), (3, False, True), (1, True, True),
+])  # fmt: skip
+def test_heads_are_believed_when_confirmed_or_seen_by_three(
+    count: int, confirmed: bool, believed: bool
+) -> None:
+    receiver = _two_or_more(count, GpsTime(2290, 300_000.0), confirmed)
+    assert (receiver.clock is not None) == believed
+    for channel in receiver.channels.values():
+        assert (channel.anchor is not None) == believed
+        assert channel.half_cycle == (0.5 if believed else None)
+    if believed:
+        assert receiver.clock is not None
+        anchor = (2290 * SECONDS_PER_WEEK + 382_260) * 1000 - 300 - 200
+        assert {channel.anchor for channel in receiver.channels.values()} == {anchor}
+
+
+@pytest.mark.parametrize(
+    ("near", "start_tow_s", "week"),
+    [
+        (GpsTime(2290, 604_790.0), 0, 2291),
+        (GpsTime(2290, 604_790.0), 604_794, 2290),
+        (GpsTime(2291, 5.0), 604_794, 2290),
+        (GpsTime(2291, 5.0), 6, 2291),
+    ],
+)
+def test_week_of_a_frame_near_the_week_s_end(near: GpsTime, start_tow_s: int, week: int) -> None:
+    receiver = _receiver(Knowledge(near=near))
+    satellite = shared_sky().scenario.emitters[0].satellite
+    _with_channel(receiver, satellite)
+    prn = int(satellite[1:])
+    receiver._heads[prn] = _head(receiver, prn, start_tow_s, 0, True)
+    receiver._take_heads()
+    channel = receiver.channels[prn]
+    assert channel.anchor == (week * SECONDS_PER_WEEK + start_tow_s) * 1000 - 300
+
+
+def test_a_head_of_an_earlier_lock_is_forgotten() -> None:
+    """Its place counts from symbols that are gone: taken now, time would be wrong."""
+    receiver = _receiver(Knowledge(near=GpsTime(2290, 300_000.0)))
+    for emitter in shared_sky().scenario.emitters[:3]:
+        _with_channel(receiver, emitter.satellite)
+        receiver._heads[emitter.prn] = _head(receiver, emitter.prn, 382_260, 10, False)
+    for channel in receiver.channels.values():
+        channel.symbols_first += 20  # locked again a symbol later
+    receiver._take_heads()
+    assert receiver.clock is None
+    assert not receiver._heads
+
+
+def test_clock_from_heads_is_good_to_the_travel_time() -> None:
+    receiver = _two_or_more(3, GpsTime(2290, 300_000.0))
+    assert receiver.clock is not None
+    channel = next(iter(receiver.channels.values()))
+    assert channel.anchor is not None
+    sent_s = (channel.anchor + channel.periods) * 1e-3
+    travel_s = receiver.clock.origin_ns / NS + channel.command.sample / RATE_HZ - sent_s
+    assert travel_s == pytest.approx(0.075, abs=1e-3)
+    assert receiver.clock.uncertainty_s > 0.01
+
+
+# --- copies --------------------------------------------------------------------------------------
+
+
+def _strength(cn0_dbhz: float) -> LockState:
+    """Averages as of a signal of this strength."""
+    snr = 10.0 ** (0.1 * cn0_dbhz) * 1e-3
+    return LockState(1.0, snr, snr, (snr,), 1.0, 1.0, 1.0, 1.0 + 0j)
+
+
+@pytest.mark.parametrize("copy_tells_first", [False, True])
+def test_the_weaker_of_two_that_tell_the_same_orbit_is_dropped(copy_tells_first: bool) -> None:
+    strong, weak = (e.satellite for e in shared_sky().scenario.emitters[:2])
+    orbit = shared_sky().scenario.nav.ephemerides[strong][0]
+    receiver = _receiver(Knowledge())
+    for satellite, cn0_dbhz in ((strong, 50.0), (weak, 29.0)):
+        _with_channel(receiver, satellite)
+        receiver.channels[int(satellite[1:])].locks = _strength(cn0_dbhz)
+    first, second = (weak, strong) if copy_tells_first else (strong, weak)
+    told = replace(orbit, satellite=first)
+    receiver.nav = NavData(ephemerides={first: (told,)})
+    channel = receiver.channels[int(second[1:])]
+    is_copy = receiver._is_copy(channel, replace(orbit, satellite=second))
+    assert is_copy == (not copy_tells_first)
+    assert receiver.channels[int(weak[1:])].mode is Mode.LOST
+    assert receiver.channels[int(strong[1:])].mode is Mode.PHASE
+    assert weak not in receiver.nav.ephemerides
+    assert [(e.satellite, e.what) for e in receiver._events] == [(weak, "lost")]
+    assert f"sends the orbit of {strong}" in receiver._events[0].reason
+
+
+def test_a_satellite_s_own_next_set_is_no_copy() -> None:
+    satellite = shared_sky().scenario.emitters[0].satellite
+    orbit = shared_sky().scenario.nav.ephemerides[satellite][0]
+    receiver = _receiver(Knowledge(nav=shared_sky().scenario.nav))
+    _with_channel(receiver, satellite)
+    assert not receiver._is_copy(receiver.channels[int(satellite[1:])], orbit)
