@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
@@ -34,6 +34,9 @@ from deepgnss.io.formats import StreamFormat
 from deepgnss.io.metadata import open_recording
 from deepgnss.io.recording import Recording
 from deepgnss.receiver.receiver import Knowledge, StepResult
+
+if TYPE_CHECKING:  # loaded when it is needed: pandas takes half a second
+    from deepgnss.evaluate.errors import Evaluation, Statistics
 
 _NARROWEST = 110  # columns of the tables where there is no terminal
 
@@ -112,10 +115,12 @@ class _Run:
                 engine = Engine(self.plan, self.recording, knowledge, executor)
                 outputs = self._process(engine, knowledge)
         outcomes = engine.receiver.accounts.outcomes
+        horizontal = None
         if self.config.output.report and self.config.output.csv and outputs.tally.epochs:
-            with self._stage("picture"):
-                _draw(self.config, folder)
-        self._report(outputs, outcomes)
+            with self._stage("errors and picture"):
+                found = _draw(self.config, folder, self.path.name)
+                horizontal = found.of("horizontal_m") if found else None
+        self._report(outputs, outcomes, horizontal)
         if outputs.tally.fixed:
             return self._is_consistent(outputs.code_minus_carrier.drift_mps)
         if not self.plan.scout:
@@ -168,7 +173,12 @@ class _Run:
         self.screen.note(f"error: {self.path}: {text}; observations and positions suffer")
         return False
 
-    def _report(self, outputs: Outputs, outcomes: Sequence[SatelliteOutcome]) -> None:
+    def _report(
+        self,
+        outputs: Outputs,
+        outcomes: Sequence[SatelliteOutcome],
+        horizontal: Statistics | None,
+    ) -> None:
         console = Console()
         if not console.is_terminal:
             console.width = max(console.width, _NARROWEST)
@@ -185,6 +195,7 @@ class _Run:
                     first_fix_s=tally.first_fix_s,
                     last=tally.last_valid.solution if tally.last_valid else None,
                     files=written(outputs.folder, FILES),
+                    horizontal=horizontal,
                 )
             )
         )
@@ -223,17 +234,19 @@ def _echo(config: Config) -> dict[str, Any]:
     return config.model_dump(mode="json", exclude={"threads": True, "output": {"directory"}})
 
 
-def _draw(config: Config, folder: Path) -> None:
+def _draw(config: Config, folder: Path, name: str) -> Evaluation | None:
     """Overview picture, and errors where there is a truth."""
     from deepgnss.evaluate.errors import errors, evaluate, write_errors, write_statistics
     from deepgnss.evaluate.overview import draw_overview, read_run
     from deepgnss.io.truth import read_truth
 
-    run = read_run(folder, folder.name)
-    truth = None
+    run = read_run(folder, name)
+    truth, evaluation = None, None
     if config.truth is not None:
         truth = read_truth(config.truth.file, config.truth.format)
         found = errors(run.solution, truth)
+        evaluation = evaluate(found)
         write_errors(folder / "errors.csv", found)
-        write_statistics(folder / "statistics.csv", evaluate(found))
+        write_statistics(folder / "statistics.csv", evaluation)
     draw_overview(folder / "overview.png", run, truth)
+    return evaluation

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -19,6 +19,9 @@ from rich.text import Text
 
 from deepgnss.core.frames import geodetic
 from deepgnss.core.records import STAGES, ChannelReport, NavSolution, SatelliteOutcome
+
+if TYPE_CHECKING:  # pandas, which it needs, takes half a second to load
+    from deepgnss.evaluate.errors import Statistics
 
 _MODE_STYLE = {"PLL": "green", "FLL": "yellow", "pull-in": "cyan", "hold": "magenta", "lost": "red"}
 _LIVE_EVERY_S = 0.25
@@ -44,6 +47,7 @@ class RunSummary(NamedTuple):
     first_fix_s: float | None  # of recording
     last: NavSolution | None  # last valid one
     files: Sequence[Path]
+    horizontal: Statistics | None = None  # error against truth, where there is one
 
 
 class Screen:
@@ -170,11 +174,29 @@ def summary_table(summary: RunSummary) -> Table:
     if summary.first_fix_s is not None:
         table.add_row("first fix", f"at {summary.first_fix_s:.1f} s of recording")
     table.add_row("last position", position_line(summary.last))
+    if summary.horizontal is not None and math.isfinite(summary.horizontal.rms):
+        error = summary.horizontal
+        table.add_row(
+            "horizontal error",
+            f"{error.rms:.2f} m RMS, 95 % within {error.percentile95:.2f} m (against truth)",
+        )
     for name, wall_s in summary.stages_s.items():
         speed = f", {summary.recording_s / wall_s:.1f} × real time" if wall_s > 0.0 else ""
         table.add_row(name, f"{wall_s:.1f} s{speed}")
-    table.add_row("written", "\n".join(str(path) for path in summary.files) or "nothing")
+    folders = dict.fromkeys(path.parent for path in summary.files)
+    table.add_row("written to", "\n".join(nearby(folder) for folder in folders) or "nothing")
+    if summary.files:
+        table.add_row("files", ", ".join(path.name for path in summary.files))
+    for path in summary.files:
+        if path.suffix == ".png":
+            table.add_row("to look at", nearby(path))
     return table
+
+
+def nearby(path: Path) -> str:
+    """A path as seen from the working directory, where it lies below that."""
+    path, here = path.resolve(), Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 
 
 def why_no_fix_table(outcomes: Sequence[SatelliteOutcome]) -> Table:

@@ -24,6 +24,7 @@ from deepgnss.io.input import reading
 from deepgnss.io.output import part_path, reporting
 from deepgnss.io.truth import Trajectory
 
+_SPARSE = 200  # fixes up to which each is drawn large
 _MOST_POINTS = 4000  # per line; more do not show
 _RINGS_RAD = np.radians(22.5)  # azimuth at which the elevation rings are labelled
 _INK, _FAINT, _TRUTH, _OURS = "#222222", "#dddddd", "#999999", "#c2185b"
@@ -275,7 +276,8 @@ def _draw_track(axes: Axes, solution: pd.DataFrame, truth: Trajectory | None) ->
         east, north = _local(true_r_e_m, origin)
         axes.plot(east, north, color=_TRUTH, linewidth=4.0, label="truth", solid_capstyle="round")
     east, north = _local(r_e_m, origin)
-    axes.plot(east, north, ".", color=_OURS, ms=3.5, label="fixes", markeredgewidth=0.0)
+    size = 3.5 if len(east) > _SPARSE else 7.0
+    axes.plot(east, north, ".", color=_OURS, ms=size, label="fixes", markeredgewidth=0.0)
     axes.plot(east[0], north[0], "o", mfc="white", mec=_OURS, ms=7, label="first fix")
     axes.legend(fontsize=8, frameon=True, edgecolor="none", framealpha=0.8, loc="best")
     axes.margins(0.12)

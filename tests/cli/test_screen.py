@@ -2,6 +2,7 @@
 
 import io
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from deepgnss.cli.screen import (
 from deepgnss.core.frames import ecef
 from deepgnss.core.records import ChannelReport, NavSolution, SatelliteOutcome
 from deepgnss.core.time import GpsTime
+from deepgnss.evaluate.errors import Statistics
 
 
 class Clock:
@@ -135,6 +137,18 @@ def test_summary():
     )
     for part in ("38 of 40 (95.0 %)", "at 2.5 s", "10.0 × real time", "5.0 × real time", "nothing"):
         assert part in text
+
+
+def test_summary_names_folder_files_picture_and_error(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    files = [tmp_path / "out" / "solution.csv", tmp_path / "out" / "overview.png"]
+    error = Statistics("horizontal_m", 0.5, 0.1, 0.62, 0.4, 1.08, 2.0)
+    text = printed(summary_table(RunSummary(40.0, {}, 40, 38, 2.5, solution(), files, error)))
+    assert "0.62 m RMS, 95 % within 1.08 m" in text
+    assert "solution.csv, overview.png" in text and "out/overview.png" in text
+    assert str(tmp_path) not in text
+    elsewhere = printed(summary_table(RunSummary(40.0, {}, 1, 0, None, None, [Path("/a/b.csv")])))
+    assert "/a" in elsewhere and "horizontal" not in elsewhere and "to look at" not in elsewhere
 
 
 def test_summary_of_an_empty_run():
