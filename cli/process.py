@@ -23,7 +23,7 @@ from deepgnss.cli.screen import (
 )
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.errors import RecordingError
-from deepgnss.core.records import STAGES, SatelliteOutcome
+from deepgnss.core.records import STAGES, NavSolution, SatelliteOutcome
 from deepgnss.deep.consistency import TOLERATED_MPS, check_week
 from deepgnss.deep.engine import Engine, ScoutPass, check_agreement, workers
 from deepgnss.deep.outputs import FILES, Outputs
@@ -93,6 +93,7 @@ class _Run:
     recording: Recording
     screen: Screen
     stages_s: dict[str, float] = field(default_factory=dict)
+    solution: NavSolution | None = None  # the last one, for the screen
 
     def whole(self) -> bool:
         """Do everything; True when positions were written."""
@@ -208,16 +209,17 @@ class _Run:
     def _stage(self, name: str) -> Iterator[None]:
         """Name a stage on the screen and take its time."""
         self.screen.phase(name)
+        self.solution = None
         began = time.monotonic()
         yield
         self.stages_s[name] = time.monotonic() - began
 
     def _show(self, result: StepResult) -> None:
         rate = self.plan.stream.sample_rate_hz
-        solution = result.fixes[-1].solution if result.fixes else None
-        self.screen.update(
-            RunState((result.end - self.plan.first) / rate, self._seconds, result.reports, solution)
-        )
+        if result.fixes:
+            self.solution = result.fixes[-1].solution
+        done_s = (result.end - self.plan.first) / rate
+        self.screen.update(RunState(done_s, self._seconds, result.reports, self.solution))
 
 
 @contextmanager

@@ -9,7 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self, TypeVar
 
-from deepgnss.core.records import NavData, SatelliteOutcome
+from deepgnss.core.records import Epoch, NavData, SatelliteOutcome
+from deepgnss.core.time import GpsTime
 from deepgnss.deep.consistency import CodeMinusCarrier
 from deepgnss.deep.setup import RunPlan
 from deepgnss.io.config import Config
@@ -82,6 +83,7 @@ class Outputs:
         self._rate = plan.stream.sample_rate_hz
         self._writers: list[_Closing] = []
         self._flushed = plan.first
+        self._last_epoch: Epoch | None = None
         with ExitStack() as opening:
             self._open(opening, knowledge)
             self._stack = opening.pop_all()
@@ -133,8 +135,7 @@ class Outputs:
             if fix.output:
                 self._write_fix(fix)
         if self._config.output.csv:
-            time = result.fixes[-1].epoch.time if result.fixes else None
-            self._channels.write(result.end / self._rate, time, result.reports)
+            self._channels.write(result.end / self._rate, self._time_at_end(result), result.reports)
             self._events.write(result.events)
         if result.end >= self._flushed + self._rate:  # what is on disk is never older than 1 s
             self._flushed = result.end
@@ -144,6 +145,17 @@ class Outputs:
             for satellite, records in result.correlations.items():
                 for record in records:
                     self._correlations.write(satellite, self._plan.signal.id.name, record)
+
+    def _time_at_end(self, result: StepResult) -> GpsTime | None:
+        """GPST at a step's end, carried on from the last epoch; None before the first."""
+        if result.fixes:
+            self._last_epoch = result.fixes[-1].epoch
+        if self._last_epoch is None:
+            return None
+        instant = self._last_epoch.instant
+        return self._last_epoch.time.plus(
+            (result.end - instant.sample - instant.fraction) / self._rate
+        )
 
     def _write_fix(self, fix: Fix) -> None:
         tally, solution = self.tally, fix.solution
