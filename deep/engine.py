@@ -133,9 +133,7 @@ class ScoutPass:
         known = replace(before, nav=receiver.nav, clock=receiver.clock, symbols=symbols)
         solution = receiver.solution
         if solution is not None and solution.valid:
-            known = replace(
-                known, position_e_m=solution.r_e_m, velocity_e_mps=solution.v_e_mps * 0.0
-            )
+            known = replace(known, position_e_m=solution.r_e_m)
         return known
 
 

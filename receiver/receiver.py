@@ -66,7 +66,6 @@ class Knowledge:
     near: GpsTime | None = None  # rough date, for the week number
     clock: ReceiverClock | None = None
     position_e_m: FloatArray | None = None
-    velocity_e_mps: FloatArray | None = None
     symbols: Mapping[str, framing.KnownSymbols] = field(default_factory=dict)
 
 
@@ -208,16 +207,12 @@ class Receiver:
         """Where and when the receiver is at a sample, if known well enough to predict signals."""
         if self.clock is None or not self._steered:
             return None
+        time, drift_sps = self.clock.time(sample), self.clock.drift_sps
         if self._last_place is not None:
-            r_e_m, v_e_mps = self._last_place
-        elif self._start.position_e_m is not None:
-            r_e_m = self._start.position_e_m
-            v_e_mps = (
-                np.zeros(3) if self._start.velocity_e_mps is None else self._start.velocity_e_mps
-            )
-        else:
+            return Place(time, *self._last_place, drift_sps)
+        if self._start.position_e_m is None:
             return None
-        return Place(self.clock.time(sample), r_e_m, v_e_mps, self.clock.drift_sps)
+        return Place(time, self._start.position_e_m, np.zeros(3), drift_sps, moving=True)
 
     def _search(self, feed: SumFeed, first: int, end: int) -> None:
         """Look for satellites that are not tracked, on the samples that begin this epoch."""

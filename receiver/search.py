@@ -35,6 +35,8 @@ class SearchSettings:
     below_mask_rad: float = float(np.radians(3.0))  # predicted ones are sought above this
     code_half_m: float = 3000.0  # half width of a predicted window
     doppler_half_hz: float = 120.0
+    moved_m: float = 10_000.0  # more of both where only a place of another time is known
+    speed_mps: float = 300.0
 
 
 class Sight(NamedTuple):
@@ -54,6 +56,7 @@ class Place(NamedTuple):
     r_e_m: FloatArray
     v_e_mps: FloatArray
     drift_sps: float  # of the sample counter
+    moving: bool = False  # it may be on the move, so that position and velocity are rough
 
 
 def predict_sights(place: Place, nav: NavData, signal: Signal) -> list[Sight]:
@@ -83,11 +86,14 @@ def predict_sights(place: Place, nav: NavData, signal: Signal) -> list[Sight]:
 
 
 def window_of(sight: Sight, place: Place, signal: Signal, settings: SearchSettings) -> SearchWindow:
-    """Window of code phase and Doppler around a prediction."""
+    """Window of code phase and Doppler around a prediction, wider for a rough place."""
     sent_s = place.time.tow_s % 1.0 + sight.transmit_s
     chips = (sent_s / signal.period_s % 1.0) * signal.id.code_chips
-    half_chips = settings.code_half_m / SPEED_OF_LIGHT_MPS * signal.id.chip_rate_hz
-    return SearchWindow(sight.doppler_hz, settings.doppler_half_hz, chips, half_chips)
+    half_s, half_hz = settings.code_half_m / SPEED_OF_LIGHT_MPS, settings.doppler_half_hz
+    if place.moving:
+        half_s += settings.moved_m / SPEED_OF_LIGHT_MPS
+        half_hz += settings.speed_mps / SPEED_OF_LIGHT_MPS * signal.id.carrier_hz
+    return SearchWindow(sight.doppler_hz, half_hz, chips, half_s * signal.id.chip_rate_hz)
 
 
 class Outcome(NamedTuple):

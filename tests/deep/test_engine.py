@@ -31,6 +31,7 @@ from deepgnss.receiver.clock import NS, to_ns
 from deepgnss.receiver.receiver import Fix, Knowledge, StepResult
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL
 
+SHORT_S = 5.7  # the first fixes are in it
 SUBFRAME_AT_S = 4.0  # the first whole one of the shared sky starts here
 
 
@@ -295,18 +296,13 @@ def _same(one: list[StepResult], other: list[StepResult]) -> None:
 @cache
 def _short() -> list[StepResult]:
     sky = shared_sky()
-    return _run(_plan(sky, 6.0), sky)[1]
+    return _run(_plan(sky, SHORT_S), sky)[1]
 
 
-@pytest.mark.parametrize("block_s", [0.005, 0.02, 0.1])
-def test_block_size_makes_no_difference(block_s: float) -> None:
+@pytest.mark.parametrize(("block_s", "threads"), [(0.005, 1), (0.02, 2), (0.1, 2)])
+def test_blocks_and_threads_make_no_difference(block_s: float, threads: int) -> None:
     sky = shared_sky()
-    _same(_run(_plan(sky, 6.0), sky, block_s=block_s)[1], _short())
-
-
-def test_threads_make_no_difference() -> None:
-    sky = shared_sky()
-    _same(_run(_plan(sky, 6.0, threads=2), sky)[1], _short())
+    _same(_run(_plan(sky, SHORT_S, threads=threads), sky, block_s=block_s)[1], _short())
 
 
 class _Mangled:
@@ -325,6 +321,6 @@ class _Mangled:
 def test_nothing_looks_ahead() -> None:
     """What comes later changes nothing of what was said before."""
     sky = shared_sky()
-    _, mangled = _run(_plan(sky, 6.0), _Mangled(sky, 5.8))
-    _same(mangled[:58], _short()[:58])
-    assert mangled[59].reports != _short()[59].reports
+    _, mangled = _run(_plan(sky, SHORT_S), _Mangled(sky, 5.5))
+    _same(mangled[:55], _short()[:55])
+    assert mangled[-1].reports != _short()[-1].reports

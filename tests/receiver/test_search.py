@@ -58,6 +58,19 @@ def test_predictions_are_what_the_samples_hold(sample: int) -> None:
         assert sight.elevation_rad > np.radians(5.0)
 
 
+def test_a_place_of_another_time_gives_wider_windows() -> None:
+    """A scout pass ends elsewhere, at a speed that says nothing of the beginning."""
+    place, settings = _place(0), SearchSettings()
+    sight = predict_sights(place, shared_sky().scenario.nav, GPS_L1CA_SIGNAL)[0]
+    narrow = window_of(sight, place, GPS_L1CA_SIGNAL, settings)
+    wide = window_of(sight, place._replace(moving=True), GPS_L1CA_SIGNAL, settings)
+    assert wide[0] == narrow[0]
+    assert wide.code_chips == narrow.code_chips
+    assert wide.doppler_half_hz - narrow.doppler_half_hz > 250.0 / 0.1903
+    metres = (wide.code_half_chips - narrow.code_half_chips) * 293.05
+    assert metres == pytest.approx(settings.moved_m, rel=1e-3)
+
+
 def test_sick_satellites_are_told_and_other_systems_left_out() -> None:
     nav = shared_sky().scenario.nav
     sick = tuple(replace(e, health=63) for e in nav.ephemerides["G05"])
