@@ -14,6 +14,7 @@ from simulated_sky import (
     CARRIER_HZ,
     STEADY_DBHZ,
     Sky,
+    make_sky,
     shared_sky,
 )
 
@@ -30,6 +31,7 @@ from deepgnss.io.config import Config
 from deepgnss.receiver.clock import NS, to_ns
 from deepgnss.receiver.receiver import Fix, Knowledge, StepResult
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL
+from deepgnss.sim.trajectory import Line, smooth_profile
 
 SHORT_S = 5.7  # the first fixes are in it
 SUBFRAME_AT_S = 4.0  # the first whole one of the shared sky starts here
@@ -126,6 +128,22 @@ def test_satellites_are_told_how_far_they_came() -> None:
     assert "lost" in gone.reason or gone.stage == "used"
     absent = [s for s in outcomes if s not in {e.satellite for e in shared_sky().scenario.emitters}]
     assert not any(outcomes[s].stage in {"acquired", "pulled in", "used"} for s in absent)
+
+
+@pytest.mark.slow
+def test_a_fast_receiver_is_found_at_once_too() -> None:
+    """An aircraft: the place of the scout pass is kilometres away, its speed unknown."""
+    path = Line((0.6, 0.8, 0.0), smooth_profile([(0.0, 250.0)]))
+    sky = make_sky((44.0, 43.0, 42.0, 41.0, 40.0, 40.0, 39.0), 9.0, path=path, seed=3)
+    plan = _plan(sky, 9.0)
+    scout = ScoutPass(Engine(plan, sky, plan.knowledge, None), plan)
+    assert len(list(scout.steps())) > 50
+    _, results = _run(plan, sky, scout.knowledge)
+    first = [event.satellite for event in results[0].events if event.what == "acquired"]
+    assert sorted(first) == sorted(e.satellite for e in sky.scenario.emitters)
+    valid = [f.solution for f in _fixes(results) if f.solution.valid]
+    speeds = [np.linalg.norm(s.v_e_mps) for s in valid[10:]]
+    assert np.mean(speeds) == pytest.approx(250.0, abs=0.2)
 
 
 # --- how well ------------------------------------------------------------------------------------
