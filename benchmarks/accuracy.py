@@ -88,17 +88,21 @@ def table_of(accuracy: pd.DataFrame) -> str:
             f"{row['cn0_dbhz']:.1f}",
             f"{row['epochs']:.0f}",
             *_sigmas(row[columns]),
-            f"{row[slopes[0]]:+.1f} ± {row[slopes[1]]:.1f}",
+            _slope(row[slopes[0]], row[slopes[1]]),
             f"{row['slips']:.0f}",
         ]
         for name, row in accuracy.iterrows()
     ]
     together = (accuracy[columns] ** 2).mean() ** 0.5
     weights = accuracy[slopes[1]] ** -2.0
-    mean = (accuracy[slopes[0]] * weights).sum() / weights.sum()
-    slope = f"{mean:+.1f} ± {weights.sum() ** -0.5:.1f}"
+    total = weights.sum()
+    slope = _slope((accuracy[slopes[0]] * weights).sum() / total, total**-0.5) if total else "–"
     rows.append(["all", *[""] * 3, *_sigmas(together), slope, f"{accuracy['slips'].sum():.0f}"])
     return markdown(_HEADS, rows)
+
+
+def _slope(mmps: float, sigma_mmps: float) -> str:
+    return f"{mmps:+.1f} ± {sigma_mmps:.1f}" if np.isfinite(sigma_mmps) else "–"
 
 
 def _sigmas(row: pd.Series) -> list[str]:
