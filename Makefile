@@ -15,7 +15,7 @@ help:
 	@echo "make test   all tests but the slow ones"
 	@echo "make check  lint, format, types, import floors"
 	@echo "make bench  speed of the correlator and of a whole run"
-	@echo "make bench-peers   GNSS-SDR (where installed) and deepgnss on the demo recording"
+	@echo "make bench-peers   GNSS-SDR (where installed) and deepgnss on one recording"
 	@echo "make docs   docs/config.md from the schema"
 
 $(STAMP): pyproject.toml
@@ -53,10 +53,12 @@ bench: $(STAMP)
 	@for script in benchmarks/bench_*.py; do $(BIN)/python $$script || exit 1; done
 
 # On another recording: make bench-peers PEERS="rec.bin --config car.yaml --ranges ranges.csv"
-PEERS ?= demo/rec.bin --config demo/config.yaml --set output.interval=0.1 --ranges demo/ranges.csv
+bench-peers: PLACE := demo/peers
+bench-peers: PEERS ?= $(PLACE)/rec.bin --config $(PLACE)/config.yaml --ranges $(PLACE)/ranges.csv \
+	--set output.interval=0.1
 bench-peers: $(STAMP)
-	test -n "$(filter-out demo/rec.bin,$(firstword $(PEERS)))" || test -f demo/rec.bin \
-		|| $(BIN)/deepgnss simulate --preset demo --output demo
+	test -n "$(filter-out $(PLACE)/%,$(firstword $(PEERS)))" || test -f $(PLACE)/rec.bin \
+		|| $(BIN)/deepgnss simulate --preset demo --seconds 60 --output $(PLACE)
 	$(BIN)/python benchmarks/side_by_side.py $(PEERS)
 
 docs: $(STAMP)

@@ -172,7 +172,9 @@ def _column(
     differences: pd.DataFrame | None,
 ) -> dict[str, str]:
     fixes = o.fixes
-    first, *others = (f"{tow_s - start_tow_s:.1f}" for tow_s in o.first_fixes_tow_s)
+    first, *others = (
+        f"{tow_s - start_tow_s:.1f}" if np.isfinite(tow_s) else "–" for tow_s in o.first_fixes_tow_s
+    )
     every = errors(fixes, truth)
     common = errors(fixes[np.isin(_tenths(fixes["tow_s"]), list(times))], truth)
     tracked = sorted(o.observed["satellite"].unique())
