@@ -24,8 +24,8 @@ from deepgnss.cli.screen import (
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.errors import RecordingError
 from deepgnss.core.records import STAGES, NavSolution, SatelliteOutcome
-from deepgnss.deep.consistency import TOLERATED_MPS, check_week
-from deepgnss.deep.engine import Engine, ScoutPass, check_agreement, workers
+from deepgnss.deep.consistency import TOLERATED_MPS, check_agreement, check_week
+from deepgnss.deep.engine import Engine, ScoutPass, workers
 from deepgnss.deep.outputs import FILES, Outputs
 from deepgnss.deep.setup import RunPlan, limits, plan_run
 from deepgnss.io.config import Config, load_config, notes
@@ -145,7 +145,7 @@ class _Run:
         timed = False
         for result in steps:
             if receiver.clock is not None and not timed:
-                check_agreement(receiver.clock, given)
+                check_agreement(receiver.clock.time(0), given.nav)
                 timed = True
             if receiver.clock is not None and result.subframes:
                 check_week(receiver.clock.time(result.end), given.nav, receiver.nav)

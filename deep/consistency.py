@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
@@ -65,6 +67,42 @@ class CodeMinusCarrier:
         if len(told) < _FEWEST:
             return None
         return median((arc.last_m - arc.first_m) / arc.seconds for arc in told)
+
+
+def check_nav_date(nav: NavData, near: GpsTime | None, path: Path) -> GpsTime:
+    """The date to go by; a NAV file of another day is refused."""
+    toes = sorted(_reference_times(nav))
+    if not toes:
+        raise InputFileError(f"{path}: holds no ephemeris of a satellite this version tracks")
+    if near is None:
+        return toes[len(toes) // 2]
+    gap_s = _gap_s(nav, near)
+    if gap_s > _REACH_S:
+        raise InputFileError(
+            f"{path}: its ephemerides ({toes[0].calendar():%Y-%m-%d} to "
+            f"{toes[-1].calendar():%Y-%m-%d}) lie {gap_s / 86400:.1f} days from the recording "
+            f"({near.calendar():%Y-%m-%d})"
+        )
+    return near
+
+
+def check_agreement(time: GpsTime, given: NavData) -> None:
+    """Refuse ephemerides a run began with whose date the signals contradict."""
+    gap_s = _gap_s(given, time)
+    if gap_s > _REACH_S:
+        raise InputFileError(
+            f"nav: the signals say {time.calendar():%Y-%m-%d %H:%M}, the NAV file's "
+            f"ephemerides lie {gap_s / 86400:.1f} days from that"
+        )
+
+
+def _reference_times(nav: NavData) -> Iterator[GpsTime]:
+    return (e.toe for several in nav.ephemerides.values() for e in several)
+
+
+def _gap_s(nav: NavData, time: GpsTime) -> float:
+    """Time to the nearest ephemeris; 0 where there is none."""
+    return min((abs(toe.since(time)) for toe in _reference_times(nav)), default=0.0)
 
 
 def check_week(time: GpsTime, given: NavData, known: NavData) -> None:

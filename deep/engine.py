@@ -15,10 +15,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Protocol
 
-from deepgnss.core.errors import InputFileError
 from deepgnss.core.records import NavSolution, SampleBlock
 from deepgnss.deep.setup import RunPlan
-from deepgnss.receiver.clock import ReceiverClock
 from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.framing import known_symbols
 from deepgnss.receiver.modes import AidingSource
@@ -124,7 +122,6 @@ class ScoutPass:
     def knowledge(self) -> Knowledge:
         """What is known at sample 0 of the processing pass."""
         receiver, before = self._engine.receiver, self._plan.knowledge
-        check_agreement(receiver.clock, before)
         symbols = {
             channel.satellite: told
             for channel in receiver.channels.values()
@@ -135,19 +132,3 @@ class ScoutPass:
         if solution is not None and solution.valid:
             known = replace(known, position_e_m=solution.r_e_m)
         return known
-
-
-def check_agreement(clock: ReceiverClock | None, knowledge: Knowledge) -> None:
-    """Refuse ephemerides of a NAV file whose date the signals contradict."""
-    if clock is None or knowledge.near is None or not knowledge.nav.ephemerides:
-        return
-    gap_s = min(
-        abs(ephemeris.toe.since(clock.time(0)))
-        for several in knowledge.nav.ephemerides.values()
-        for ephemeris in several
-    )
-    if gap_s > 12 * 3600.0:
-        raise InputFileError(
-            f"nav: the signals say {clock.time(0).calendar():%Y-%m-%d %H:%M}, the NAV file's "
-            f"ephemerides lie {gap_s / 86400:.1f} days from that"
-        )

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 from deepgnss.core.records import Epoch, NavData, SatelliteOutcome
 from deepgnss.core.time import GpsTime
@@ -16,6 +16,7 @@ from deepgnss.deep.setup import RunPlan
 from deepgnss.io.config import Config
 from deepgnss.io.correlations import CorrelationWriter
 from deepgnss.io.nmea import NmeaWriter
+from deepgnss.io.output import Closing
 from deepgnss.io.rinex import STATION, long_name
 from deepgnss.io.rinex_nav import write_nav
 from deepgnss.io.rinex_obs import ObsHeader, RinexObsWriter
@@ -44,14 +45,7 @@ FILES = (
 """Names of all files a run may write, as shell patterns."""
 
 
-class _Closing(AbstractContextManager["_Closing"], Protocol):
-    """What all writers share."""
-
-    def flush(self) -> None:
-        """Bring what was written to disk."""
-
-
-_W = TypeVar("_W", bound=_Closing)
+_W = TypeVar("_W", bound=Closing)
 
 
 @dataclass(slots=True)
@@ -81,7 +75,7 @@ class Outputs:
         self._config = config
         self._plan = plan
         self._rate = plan.stream.sample_rate_hz
-        self._writers: list[_Closing] = []
+        self._writers: list[Closing] = []
         self._flushed = plan.first
         self._last_epoch: Epoch | None = None
         with ExitStack() as opening:

@@ -6,12 +6,12 @@ import math
 import os
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 
-from deepgnss.core.errors import ConfigError, InputFileError
+from deepgnss.core.errors import ConfigError
 from deepgnss.core.frames import ecef
 from deepgnss.core.records import NavData, StreamInfo
-from deepgnss.core.time import GpsTime, from_utc
+from deepgnss.core.time import from_utc
+from deepgnss.deep.consistency import check_nav_date
 from deepgnss.io.config import Config
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.receiver.acquisition import AcquisitionSettings
@@ -22,7 +22,6 @@ from deepgnss.receiver.receiver import Knowledge, ReceiverSettings
 from deepgnss.receiver.signals import SIGNALS, Signal
 
 _SEARCH_MARGIN_S = 0.005  # of an epoch, beyond the sums of a search
-_NAV_REACH_S = 12 * 3600.0  # ephemerides further from the recording than this do not serve it
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,20 +161,3 @@ def initial_knowledge(config: Config, start: datetime | None) -> Knowledge:
     place = config.position
     position_e_m = ecef(math.radians(place[0]), math.radians(place[1]), place[2]) if place else None
     return Knowledge(nav=nav, near=near, position_e_m=position_e_m)
-
-
-def check_nav_date(nav: NavData, near: GpsTime | None, path: Path) -> GpsTime | None:
-    """The date to go by; a NAV file of another day is refused."""
-    toes = [e.toe for several in nav.ephemerides.values() for e in several]
-    if not toes:
-        raise InputFileError(f"{path}: holds no ephemeris of a satellite this version tracks")
-    if near is None:
-        return sorted(toes)[len(toes) // 2]
-    gap_s = min(abs(toe.since(near)) for toe in toes)
-    if gap_s > _NAV_REACH_S:
-        raise InputFileError(
-            f"{path}: its ephemerides ({min(toes).calendar():%Y-%m-%d} to "
-            f"{max(toes).calendar():%Y-%m-%d}) lie {gap_s / 86400:.1f} days from the recording "
-            f"({near.calendar():%Y-%m-%d})"
-        )
-    return near

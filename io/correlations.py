@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import h5py
 import numpy as np
@@ -17,13 +16,13 @@ from numpy.typing import NDArray
 
 from deepgnss.core.errors import OutputError
 from deepgnss.core.records import Correlations
-from deepgnss.io.output import part_path, reporting
+from deepgnss.io.output import Closing, part_path, reporting
 
 _CHUNK_ROWS = 4096
 _FLUSH_ROWS = 1 << 16
 
 
-class CorrelationWriter:
+class CorrelationWriter(Closing):
     """Appends correlations of all channels; bounded memory.
 
     Per channel group: `taps` complex64 (rows, taps), one row per code period; and per record
@@ -100,20 +99,6 @@ class CorrelationWriter:
         if self._open:
             self._open = False
             self.flush()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.abandon()
 
 
 def _create(group: h5py.Group, name: str, kind: type, *width: int) -> None:

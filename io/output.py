@@ -7,6 +7,7 @@ holds whole records up to the last flush. The same input gives the same bytes.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -113,7 +114,37 @@ class OutputFile:
             self._handle.close()
 
 
-class Writer:
+class Closing(ABC):
+    """A `with` statement that closes what ended in order and abandons what did not."""
+
+    @abstractmethod
+    def flush(self) -> None:
+        """Bring everything written so far to disk."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Finish and give the file its final name."""
+
+    @abstractmethod
+    def abandon(self) -> None:
+        """Stop here: what was written stays readable under its `.part` name."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abandon()
+
+
+class Writer(Closing):
     """What the writers of records share: one OutputFile, and how it ends."""
 
     _file: OutputFile | None = None  # None: not yet opened, no record so far
@@ -137,20 +168,6 @@ class Writer:
         """Stop here: what was written stays readable under its `.part` name."""
         if self._file:
             self._file.abandon()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.abandon()
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -50,6 +50,7 @@ from deepgnss.receiver.trackers import (
     NcoState,
     PhaseLock,
     Tracker,
+    accumulate,
     advance,
     corrected,
     scheduled_bandwidth_hz,
@@ -208,9 +209,7 @@ class Channel:
         taps, period_s = self._taken, self.signal.period_s
         if self.settings.record_correlations:
             self.recorded.append(Correlations(self.command.sample, period_s, taps))
-        early, prompt, late = taps.sum(axis=0).tolist()
-        seconds = taps.shape[0] * period_s
-        return Accumulated(taps, early, prompt, late, seconds, period_s, self._coherent)
+        return accumulate(taps, period_s, self._coherent)
 
     def _steer(
         self, seen: Accumulated, middle_s: float, end_s: float, aiding: AidingSource
@@ -339,9 +338,7 @@ class Channel:
         if (self.periods - self.edge) % size:
             return None
         taps, self._pieces = np.concatenate(self._pieces), []
-        early, prompt, late = taps.sum(axis=0).tolist()
-        seconds = taps.shape[0] * seen.period_s
-        return Accumulated(taps, early, prompt, late, seconds, seen.period_s, seen.coherent)
+        return accumulate(taps, seen.period_s, seen.coherent)
 
     def set_edge(self, period: int, reason: str) -> None:
         """Make known that a symbol starts at a code period of this channel's count."""

@@ -39,6 +39,13 @@ class Accumulated(NamedTuple):
     coherent: bool  # the sums may be used: no symbol edge lies inside
 
 
+def accumulate(periods: ComplexArray, period_s: float, coherent: bool) -> Accumulated:
+    """Sums over the code periods (n, taps) of an interval."""
+    early, prompt, late = periods.sum(axis=0).tolist()
+    seconds = periods.shape[0] * period_s
+    return Accumulated(periods, early, prompt, late, seconds, period_s, coherent)
+
+
 class Correction(NamedTuple):
     """Change of a generator's state at the middle of the interval (cycles or chips and per s)."""
 

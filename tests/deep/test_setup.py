@@ -12,7 +12,8 @@ from deepgnss.core.errors import ConfigError, InputFileError
 from deepgnss.core.frames import geodetic
 from deepgnss.core.records import NavData, StreamInfo
 from deepgnss.core.time import GpsTime
-from deepgnss.deep.setup import check_nav_date, plan_run
+from deepgnss.deep.consistency import check_nav_date
+from deepgnss.deep.setup import plan_run
 from deepgnss.io.config import Config
 from deepgnss.sim.constellation import nominal_gps
 
