@@ -18,7 +18,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 def _cache_folder() -> Path:
     package = Path(__file__).resolve().parent.parent
     digest = hashlib.sha256()
-    for room in ("core", "io", "receiver", "sim"):
+    for room in ("core", "ins", "io", "receiver", "sim"):
         for source in sorted((package / room).rglob("*.py")):
             digest.update(str(source.relative_to(package)).encode())
             digest.update(source.read_bytes())

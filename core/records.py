@@ -315,6 +315,65 @@ class NavSolution:
 # --- inertial ------------------------------------------------------------------------------------
 
 
+class ImuGrade(NamedTuple):
+    """Error model of an inertial unit (T table 4.1), the same for its three axes, 1σ or density.
+
+    Bias and scale are drawn once per run; the drift is a first-order Gauss–Markov process driven
+    by white noise of the given density (its σ in the steady state is density·√(T/2)); noise is
+    white on the rate, so that its integral walks with noise·√t.
+    """
+
+    name: str
+    gyro_bias_radps: float
+    gyro_drift_radps2_rthz: float  # rad/s² per √Hz
+    gyro_drift_time_s: float
+    gyro_noise_rad_rts: float  # angle random walk, rad/√s
+    gyro_scale: float
+    accel_bias_mps2: float
+    accel_drift_mps3_rthz: float  # m/s³ per √Hz
+    accel_drift_time_s: float
+    accel_noise_mps_rts: float  # velocity random walk, m/s/√s
+    accel_scale: float
+    velocity_mps: float  # initial errors of a navigation with it, 1σ: horizontal velocity
+    tilt_rad: float
+    heading_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class ImuBlock:
+    """Consecutive inertial increments in body axes FRD.
+
+    Row k holds the integrals of ω_ib and of the specific force over the interval of length
+    `dt_s[k]` that ends at `time_s[k]`, seconds of GPST since `origin`; all arrays float64.
+    """
+
+    origin: GpsTime
+    time_s: FloatArray  # (n,) rising
+    dt_s: FloatArray  # (n,)
+    dtheta_b_rad: FloatArray  # (n, 3)
+    dv_b_mps: FloatArray  # (n, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class InsState:
+    """Navigation state of the IMU: position (WGS-84), velocity in NED, attitude, sensor errors.
+
+    q_nb: unit quaternion, scalar first, that turns body FRD into NED (v_n = C_nb @ v_b). Sensor
+    errors are what the sensors read too much: reading = (1 + scale)·true + bias.
+    """
+
+    time: GpsTime
+    lat_rad: float
+    lon_rad: float
+    height_m: float
+    v_n_mps: FloatArray  # (3,)
+    q_nb: FloatArray  # (4,)
+    gyro_bias_radps: FloatArray  # (3,)
+    accel_bias_mps2: FloatArray  # (3,)
+    gyro_scale: FloatArray  # (3,)
+    accel_scale: FloatArray  # (3,)
+
+
 @dataclass(frozen=True, slots=True)
 class Aiding:
     """What the navigation knows of one satellite over an epoch, for the loops.
