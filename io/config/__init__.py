@@ -1,7 +1,7 @@
 """Configuration of a run: one YAML file, held to a typed schema."""
 
 from deepgnss.io.config.aids import OscillatorConfig, oscillator_names
-from deepgnss.io.config.load import json_schema, load_config, resolved_yaml
+from deepgnss.io.config.load import json_schema, load, load_config, resolved_yaml
 from deepgnss.io.config.notes import notes
 from deepgnss.io.config.recording import StreamConfig
 from deepgnss.io.config.reference import reference_markdown
@@ -12,6 +12,7 @@ __all__ = [
     "OscillatorConfig",
     "StreamConfig",
     "json_schema",
+    "load",
     "load_config",
     "notes",
     "oscillator_names",

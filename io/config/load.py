@@ -1,26 +1,40 @@
-"""Read, override, validate and print the configuration."""
+"""Read, override, validate and print a configuration: that of a run, or any other schema."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 from yaml import Node
 
 from deepgnss.core.errors import ConfigError
 from deepgnss.io.config.messages import dotted, explain, location_of
-from deepgnss.io.config.quantity import Surroundings
+from deepgnss.io.config.quantity import Section, Surroundings
 from deepgnss.io.config.schema import Config
 from deepgnss.io.config.text import Location, line_of, parse, parse_value, write
+
+
+_Schema = TypeVar("_Schema", bound=Section)
 
 
 def load_config(
     path: Path | str | None = None, overrides: Sequence[str] = (), *, check_files: bool = True
 ) -> Config:
-    """Read and validate a configuration.
+    """Read and validate the configuration of a run; see `load`."""
+    return load(Config, path, overrides, check_files=check_files)
+
+
+def load(
+    schema: type[_Schema],
+    path: Path | str | None = None,
+    overrides: Sequence[str] = (),
+    *,
+    check_files: bool = True,
+) -> _Schema:
+    """Read a YAML file and hold it to a schema.
 
     Parameters
     ----------
@@ -46,9 +60,9 @@ def load_config(
     overridden = [_override(data, setting) for setting in overrides]
     folder = (file.parent if file else Path()).resolve()
     try:
-        return Config.model_validate(data, context=Surroundings(folder, check_files))
+        return schema.model_validate(data, context=Surroundings(folder, check_files))
     except ValidationError as error:
-        lines = explain(error, Config, data)
+        lines = explain(error, schema, data)
         raise ConfigError(
             "\n".join(
                 f"{_origin(source, nodes, location, overridden)}: {line}"
@@ -111,12 +125,12 @@ def _override(data: dict[str, Any], setting: str) -> Location:
     return location
 
 
-def resolved_yaml(config: Config) -> str:
+def resolved_yaml(config: Section) -> str:
     """Return the whole configuration as YAML, defaults filled in; it reads back as the same."""
     return write(config.model_dump(mode="json", by_alias=True))
 
 
-def json_schema() -> str:
-    """Return the JSON schema of the configuration file."""
-    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    return json.dumps(schema | Config.model_json_schema(), indent=2, ensure_ascii=False) + "\n"
+def json_schema(schema: type[Section] = Config) -> str:
+    """Return the JSON schema of a configuration file."""
+    dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return json.dumps(dialect | schema.model_json_schema(), indent=2, ensure_ascii=False) + "\n"

@@ -1,4 +1,4 @@
-"""The configuration's reference page, written from the schema itself."""
+"""The reference page of a configuration, written from its schema."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ This page is written from the schema (`make docs`).
 """
 
 
-def reference_markdown() -> str:
-    """Return the reference of all keys as Markdown, one table per section."""
-    return "\n".join([_HEAD, *_sections(Config, "")])
+def reference_markdown(schema: type[BaseModel] = Config, head: str = _HEAD) -> str:
+    """Return the reference of all keys as Markdown, one table per section, below a head."""
+    return "\n".join([head, *_sections(schema, "")])
 
 
 def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
