@@ -16,7 +16,6 @@ from deepgnss.io.config.quantity import Section, Surroundings
 from deepgnss.io.config.schema import Config
 from deepgnss.io.config.text import Location, line_of, parse, parse_value, write
 
-
 _Schema = TypeVar("_Schema", bound=Section)
 
 
