@@ -47,7 +47,7 @@ class ObsHeader:
     """What the header says beyond the observations.
 
     position_e_m: approximate antenna position, (3,) ECEF, left out of the header when None (it
-    is optional for a moving antenna). duration_s enters the file name.
+    is optional for a moving antenna). duration_s enters the file name, unless `name` is given.
     """
 
     signals: Sequence[SignalId]
@@ -59,6 +59,7 @@ class ObsHeader:
     marker_type: str = "GROUND_CRAFT"
     receiver_version: str = ""
     station: str = STATION
+    name: str | None = None  # of the file; None: the long name of the standard
 
 
 class RinexObsWriter(Writer):
@@ -108,8 +109,8 @@ class RinexObsWriter(Writer):
     def _open(self, first: GpsTime) -> OutputFile:
         h = self._header
         systems = "".join(self._systems)
-        name = long_name("O", systems, first, h.duration_s, h.interval_s, h.station)
-        file = OutputFile(self._folder / name)
+        standard = long_name("O", systems, first, h.duration_s, h.interval_s, h.station)
+        file = OutputFile(self._folder / (h.name or standard))
         file.write(_header_text(h, self._systems, first))
         return file
 
