@@ -86,25 +86,30 @@ def _from_rinex(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def read_ranges(path: Path | str) -> pd.DataFrame:
-    """Read a ranges.csv of the simulator: what a perfect GPS receiver and clock measure.
+    """Read a ranges.csv of the simulator: what a perfect receiver and clock measure.
 
     Where it has no `carrier_cycles` the phase follows the pseudorange (an ionosphere of one sign
-    on both).
+    on both); where it names no `satellite` its `prn` are those of GPS. Rows of satellites out of
+    sight (`visible` 0) are left out.
 
     Returns: columns RANGE_COLUMNS, one row per epoch and satellite.
     Raises InputFileError: the file cannot be read, or is not one.
     """
     path = Path(path)
     frame = _table(path, ("week", "tow", "prn", "el_deg", "pseudorange_m"))
+    if "visible" in frame:
+        frame = frame[frame["visible"] == 1].reset_index(drop=True)
+    if "satellite" not in frame:
+        frame["satellite"] = [f"G{prn:02d}" for prn in frame["prn"]]
     range_m = frame["pseudorange_m"]
     phase_m = range_m
     if "carrier_cycles" in frame:
-        phase_m = frame["carrier_cycles"] * (SPEED_OF_LIGHT_MPS / GPS_L1CA.carrier_hz)
+        phase_m = frame["carrier_cycles"] * wavelengths_m(frame["satellite"])
     return pd.DataFrame(
         {
             "week": frame["week"],
             "tow_s": frame["tow"],
-            "satellite": [f"G{prn:02d}" for prn in frame["prn"]],
+            "satellite": frame["satellite"],
             "range_m": range_m,
             "phase_m": phase_m,
             "elevation_deg": frame["el_deg"],
