@@ -21,12 +21,12 @@ from deepgnss.core.records import (
 )
 from deepgnss.receiver.baseband import correlate
 from deepgnss.receiver.feed import SumFeed
-from deepgnss.receiver.signals import SIGNALS, code_runs
+from deepgnss.receiver.signals import GPS_L1CA_SIGNAL, code_runs
 
 RATES_HZ = (4e6, 16e6, 25e6, 62e6)
 SECONDS = 0.1
 CHANNELS = 8
-SIGNAL = SIGNALS[GPS_L1CA.name]
+SIGNAL = GPS_L1CA_SIGNAL
 TAPS: FloatArray = np.array([0.125, 0.0, -0.125])
 
 

@@ -13,7 +13,7 @@ from deepgnss.io.metadata import open_recording
 from deepgnss.receiver.acquisition import AcquisitionSettings, cold_search
 from deepgnss.receiver.baseband import running_sums
 from deepgnss.receiver.precise import measure
-from deepgnss.receiver.signals import SIGNALS
+from deepgnss.receiver.signals import GPS_L1CA_SIGNAL
 
 _SEARCH_S = 0.021
 
@@ -22,7 +22,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("recording", type=Path, help="metadata of a recording with two streams")
     options = parser.parse_args()
-    signal = SIGNALS["GPS_L1CA"]
+    signal = GPS_L1CA_SIGNAL
     chip_m = SPEED_OF_LIGHT_MPS / signal.id.chip_rate_hz
     recording, _ = open_recording(options.recording)
     with recording:

@@ -6,13 +6,15 @@ import math
 import os
 from dataclasses import dataclass
 from datetime import datetime
+from typing import NamedTuple
 
 from deepgnss.core.errors import ConfigError
 from deepgnss.core.frames import ecef
-from deepgnss.core.records import NavData, StreamInfo
+from deepgnss.core.records import NavData, SignalId, StreamInfo
 from deepgnss.core.time import from_utc
 from deepgnss.deep.consistency import check_nav_date
 from deepgnss.io.config import Config
+from deepgnss.io.config.notes import PROCESSED_SIGNALS
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.receiver.acquisition import AcquisitionSettings
 from deepgnss.receiver.clock import NS
@@ -24,12 +26,23 @@ from deepgnss.receiver.signals import SIGNALS, Signal
 _SEARCH_MARGIN_S = 0.005  # of an epoch, beyond the sums of a search
 
 
+class Covered(NamedTuple):
+    """A signal of the config (the kinds of it that satellites send) in a stream."""
+
+    kinds: tuple[Signal, ...]
+    stream: StreamInfo
+
+    @property
+    def id(self) -> SignalId:
+        """Name tag the kinds share."""
+        return self.kinds[0].id
+
+
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """What an engine needs beside the samples."""
+    """What an engine needs beside the samples; samples count in the first signal's stream."""
 
-    signal: Signal
-    stream: StreamInfo
+    covered: tuple[Covered, ...]
     settings: ReceiverSettings
     knowledge: Knowledge
     first: int  # samples [first, end) are processed
@@ -38,26 +51,37 @@ class RunPlan:
     scout: bool
     threads: int
 
+    @property
+    def stream(self) -> StreamInfo:
+        """The stream whose samples are the time axis of the run."""
+        return self.covered[0].stream
+
+    @property
+    def seconds(self) -> float:
+        """Length of what is processed."""
+        return (self.end - self.first) / self.stream.sample_rate_hz
+
 
 def plan_run(
     config: Config, streams: tuple[StreamInfo, ...], start: datetime | None = None
 ) -> RunPlan:
-    """Choose signal and stream, and translate the settings.
+    """Choose signals and streams, and translate the settings.
 
     `start`: when the recording began, as its own metadata say; the config's word goes first.
 
     Raises ConfigError when no stream covers a signal this version tracks, InputFileError when
     the NAV file does not fit the recording's date.
     """
-    signal, stream = _covered(config, streams)
+    covered = _covered(config, streams)
+    stream = covered[0].stream
     first = round(config.recording.skip * stream.sample_rate_hz)
-    end = stream.sample_count
+    lasts_s = min(c.stream.sample_count / c.stream.sample_rate_hz for c in covered)
+    end = min(stream.sample_count, math.ceil(lasts_s * stream.sample_rate_hz))
     if config.recording.duration is not None:
         end = min(end, first + round(config.recording.duration * stream.sample_rate_hz))
     if first >= end:
         raise ConfigError(
-            f"recording.skip: {config.recording.skip} s, but the recording lasts "
-            f"{stream.sample_count / stream.sample_rate_hz:.3f} s"
+            f"recording.skip: {config.recording.skip} s, but the recording lasts {lasts_s:.3f} s"
         )
     if config.tracking.code.coherent != config.tracking.carrier.coherent:
         raise ConfigError(
@@ -72,9 +96,8 @@ def plan_run(
             f"{config.deep.epoch} s"
         )
     return RunPlan(
-        signal=signal,
-        stream=stream,
-        settings=receiver_settings(config, signal),
+        covered=covered,
+        settings=receiver_settings(config),
         knowledge=initial_knowledge(config, start),
         first=first,
         end=end,
@@ -84,30 +107,33 @@ def plan_run(
     )
 
 
-def _covered(config: Config, streams: tuple[StreamInfo, ...]) -> tuple[Signal, StreamInfo]:
+def _covered(config: Config, streams: tuple[StreamInfo, ...]) -> tuple[Covered, ...]:
+    found = []
     for name in config.signals:
-        if name not in SIGNALS:
+        if name not in PROCESSED_SIGNALS:
             continue
-        carrier_hz = SIGNALS[name].id.carrier_hz
+        carrier_hz = SIGNALS[name][0].id.carrier_hz
         for stream in streams:
             place_hz = stream.intermediate_hz + carrier_hz - stream.centre_hz
             if abs(place_hz) <= stream.sample_rate_hz / 2.0:
-                return SIGNALS[name], stream
-    wanted = ", ".join(config.signals)
-    raise ConfigError(
-        f"signals: of {wanted}, none that this version tracks ({', '.join(SIGNALS)}) "
-        "lies in a stream"
-    )
+                found.append(Covered(SIGNALS[name], stream))
+                break
+    if not found:
+        wanted, known = ", ".join(config.signals), ", ".join(sorted(PROCESSED_SIGNALS))
+        raise ConfigError(
+            f"signals: of {wanted}, none that this version tracks ({known}) lies in a stream"
+        )
+    return tuple(found)
 
 
-def receiver_settings(config: Config, signal: Signal) -> ReceiverSettings:
+def receiver_settings(config: Config) -> ReceiverSettings:
     """Settings of the receiver from the config's tracking, acquisition, positioning, output."""
     tracking, positioning, acquisition = config.tracking, config.positioning, config.acquisition
     return ReceiverSettings(
         tracking=TrackingSettings(
             carrier_order=int(tracking.carrier.loop[-1]),
             carrier_bandwidth_hz=tracking.carrier.bandwidth,
-            coherent_periods=round(tracking.carrier.coherent / signal.period_s),
+            coherent_s=tracking.carrier.coherent,
             code_order=tracking.code.order,
             code_bandwidths_hz=tuple(tracking.code.bandwidth),
             spacing_chips=tracking.code.spacing,

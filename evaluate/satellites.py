@@ -17,6 +17,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from deepgnss.core.records import FloatArray, SampleBlock, StreamInfo
+from deepgnss.io.config.notes import PROCESSED_SIGNALS
 from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings, cold_search
 from deepgnss.receiver.baseband import running_sums
 from deepgnss.receiver.signals import SIGNALS, Signal
@@ -60,12 +61,14 @@ class Survey:
 
 
 def signals_within(stream: StreamInfo) -> list[Signal]:
-    """Signals whose carrier lies in the stream's band."""
+    """Signals of this version whose carrier lies in the stream's band."""
     half_hz = stream.sample_rate_hz / 2.0
     return [
         signal
-        for signal in SIGNALS.values()
-        if abs(stream.intermediate_hz + signal.id.carrier_hz - stream.centre_hz) <= half_hz
+        for name, forms in SIGNALS.items()
+        for signal in forms
+        if name in PROCESSED_SIGNALS
+        and abs(stream.intermediate_hz + signal.id.carrier_hz - stream.centre_hz) <= half_hz
     ]
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from deepgnss.core.jit import kernel
 from deepgnss.core.records import FloatArray, RunningSums
 from deepgnss.receiver.baseband import resample
-from deepgnss.receiver.signals import SIGNALS, Signal
+from deepgnss.receiver.signals import Signal, signal_of
 
 Complex64Array = NDArray[np.complex64]
 
@@ -152,7 +152,7 @@ def _line_weights(spectra: Complex64Array) -> NDArray[np.float32]:
 @cache
 def replica_cells(signal_name: str, prn: int, cells: int) -> FloatArray:
     """One code period in cells, each the mean of the chips it covers."""
-    code = SIGNALS[signal_name].primary_code(prn).astype(np.float64)
+    code = signal_of(signal_name, prn).primary_code(prn).astype(np.float64)
     integral = np.concatenate([[0.0], np.cumsum(code)])
     edges = np.linspace(0.0, code.size, cells + 1)
     replica: FloatArray = np.diff(np.interp(edges, np.arange(code.size + 1), integral))

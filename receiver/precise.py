@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from deepgnss.core.jit import summing_kernel
 from deepgnss.core.records import ComplexArray, FloatArray, SampleBlock
-from deepgnss.receiver.signals import SIGNALS, Signal
+from deepgnss.receiver.signals import Signal, signal_of
 from deepgnss.receiver.symbols import fit_symbols
 
 _POINTS_PER_CHIP = 32
@@ -57,7 +57,7 @@ class Measurement:
 @cache
 def replica(signal_name: str, prn: int, half_band_hz: float) -> Replica:
     """Code of a satellite, its spectrum cut at half_band_hz on either side."""
-    signal = SIGNALS[signal_name]
+    signal = signal_of(signal_name, prn)
     chips = signal.primary_code(prn).astype(np.float64)
     spectrum = scipy.fft.fft(np.repeat(chips, _POINTS_PER_CHIP))
     harmonic = scipy.fft.fftfreq(spectrum.size, 1.0 / spectrum.size)

@@ -19,10 +19,10 @@ from deepgnss.evaluate.satellites import (
 from deepgnss.io.formats import StreamFormat
 from deepgnss.io.recording import Recording
 from deepgnss.receiver.acquisition import Acquisition
-from deepgnss.receiver.signals import SIGNALS
+from deepgnss.receiver.signals import GPS_L1CA_SIGNAL
 
 L1 = 1575.42e6
-GPS = SIGNALS["GPS_L1CA"]
+GPS = GPS_L1CA_SIGNAL
 
 
 def acquisition(prn: int, doppler_hz: float, code_chips: float) -> Acquisition:

@@ -65,4 +65,4 @@ def test_the_signal_s_own_numbers() -> None:
     assert signal.symbol_s == pytest.approx(0.02, rel=1e-15)
     assert signal.carrier_to_code == 1540.0
     assert signal.satellite(5) == "G05"
-    assert SIGNALS[signal.id.name] is signal
+    assert SIGNALS[signal.id.name] == (signal,)
