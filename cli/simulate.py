@@ -51,6 +51,6 @@ def simulate(
         )
     click.echo(
         f"{directory / 'rec.bin'}: {scenario.seconds:g} s of {len(scenario.emitters)} satellites "
-        f"at {scenario.front_end.sample_rate_hz / 1e6:g} Msps; process it with "
+        f"at {scenario.streams[0].front_end.sample_rate_hz / 1e6:g} Msps; process it with "
         f"{directory / 'config.yaml'}"
     )

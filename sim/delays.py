@@ -51,12 +51,14 @@ class Nodes(NamedTuple):
     carrier_s: FloatArray
 
 
-def receive(scenario: Scenario, emitter: Emitter, orbit: Orbit, t_s: FloatArray) -> Reception:
-    """What reaches the antenna at true times (n,), in s from the start."""
-    r_e_m = scenario.trajectory.at(t_s).r_m
+def receive(
+    scenario: Scenario, emitter: Emitter, orbit: Orbit, t_s: FloatArray, antenna: int = 0
+) -> Reception:
+    """What reaches an antenna at true times (n,), in s from the start."""
+    r_e_m = scenario.vehicle.point(t_s, scenario.antennas[antenna].lever_b_m).r_m
     path = travel(orbit, t_s, r_e_m)
     lat, lon, height = pymap3d.ecef2geodetic(*r_e_m.T, deg=False)
-    azimuth, elevation = look(scenario.trajectory, path, r_e_m)
+    azimuth, elevation = look(scenario.vehicle, path, r_e_m)
     carrier_hz = emitter.signal.id.carrier_hz
     nothing = np.zeros(t_s.size)
     iono = tropo = nothing
@@ -97,10 +99,11 @@ def clock_error(clock: ReceiverClock, seconds: float, seed: int) -> FloatArray:
     nodes = (math.ceil(seconds) + 2 * _MARGIN_S) * NODES_PER_SECOND
     t_s = np.arange(nodes) * dt - _MARGIN_S
     error = np.asarray(clock.offset_s + clock.drift_sps * t_s, dtype=np.float64)
-    if clock.h0_s > 0.0 or clock.h_2_ps > 0.0:
+    if clock.oscillator is not None:
+        _, h0_s, _, h_2_hz, _ = clock.oscillator
         random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0xC10C])))
-        white = random.standard_normal(nodes) * math.sqrt(clock.h0_s * dt / 2.0)
-        walk = random.standard_normal(nodes) * math.sqrt(2.0 * math.pi**2 * clock.h_2_ps * dt)
+        white = random.standard_normal(nodes) * math.sqrt(h0_s * dt / 2.0)
+        walk = random.standard_normal(nodes) * math.sqrt(2.0 * math.pi**2 * h_2_hz * dt)
         noise = np.cumsum(white + np.cumsum(walk) * dt)
         error = error + noise - noise[_MARGIN_S * NODES_PER_SECOND]
     return error

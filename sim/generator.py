@@ -35,12 +35,12 @@ _STENCIL: Final = (2, 3)  # nodes the cubics need before the first interval and 
 Samples = NDArray[np.float32]
 
 
-def sample_source(scenario: Scenario) -> Callable[[int, int], Samples]:
+def sample_source(scenario: Scenario, stream: int = 0) -> Callable[[int, int], Samples]:
     """Function (first, count) → samples before the converter, (2, count) as I, Q or (1, count).
 
     It may be called from several threads.
     """
-    front_end = scenario.front_end
+    front_end = scenario.streams[stream].front_end
     nodes = node_source(scenario)
     symbols = [_symbols(scenario, emitter) for emitter in scenario.emitters]
     taps = low_pass(front_end)
@@ -58,7 +58,18 @@ def sample_source(scenario: Scenario) -> Callable[[int, int], Samples]:
         before, after = _STENCIL
         window = nodes(first_ms - before, end_ms + after)
         for row, emitter in enumerate(scenario.emitters):
-            _add(samples, first, first_ms, end_ms, scenario, emitter, window, row, symbols[row])
+            _add(
+                samples,
+                first,
+                first_ms,
+                end_ms,
+                scenario,
+                front_end,
+                emitter,
+                window,
+                row,
+                symbols[row],
+            )
         return samples
 
     def filtered(first: int, count: int) -> Samples:
@@ -71,15 +82,16 @@ def sample_source(scenario: Scenario) -> Callable[[int, int], Samples]:
     return filtered
 
 
-def recording(scenario: Scenario, threads: int = 1) -> Iterator[bytes]:
-    """The bytes of the recording, piece by piece in order."""
-    samples = sample_source(scenario)
-    sigma = input_sigma(scenario)
-    total = scenario.sample_count
-    piece = max(round(_PIECE_S * scenario.front_end.sample_rate_hz / NOISE_BLOCK), 1) * NOISE_BLOCK
+def recording(scenario: Scenario, stream: int = 0, threads: int = 1) -> Iterator[bytes]:
+    """The bytes of a stream, piece by piece in order."""
+    samples = sample_source(scenario, stream)
+    front_end = scenario.streams[stream].front_end
+    sigma = input_sigma(scenario, front_end)
+    total = scenario.sample_count(scenario.streams[stream])
+    piece = max(round(_PIECE_S * front_end.sample_rate_hz / NOISE_BLOCK), 1) * NOISE_BLOCK
 
     def make(first: int) -> bytes:
-        return convert(samples(first, min(piece, total - first)), sigma, scenario.front_end)
+        return convert(samples(first, min(piece, total - first)), sigma, front_end)
 
     with ThreadPoolExecutor(threads) as pool:
         ahead: deque[Future[bytes]] = deque()
@@ -101,13 +113,13 @@ def amplitude(cn0_dbhz: float, front_end: FrontEnd) -> float:
     return math.sqrt(power * 10.0 ** (cn0_dbhz / 10.0) / front_end.sample_rate_hz)
 
 
-def input_sigma(scenario: Scenario) -> float:
+def input_sigma(scenario: Scenario, front_end: FrontEnd) -> float:
     """Standard deviation of one component at the converter: what an ideal AGC settles to.
 
     Signals enter with their level at the start; they lie far below the noise unless it is off.
     """
-    signal = sum(amplitude(e.cn0_dbhz[0][1], scenario.front_end) ** 2 for e in scenario.emitters)
-    taps = low_pass(scenario.front_end)
+    signal = sum(amplitude(e.cn0_dbhz[0][1], front_end) ** 2 for e in scenario.emitters)
+    taps = low_pass(front_end)
     passed = 1.0 if taps is None else float(np.sum(taps.astype(np.float64) ** 2))
     return math.sqrt((passed if scenario.noise else 0.0) + signal / 2.0)
 
@@ -150,6 +162,7 @@ def _add(
     first_ms: int,
     end_ms: int,
     scenario: Scenario,
+    front_end: FrontEnd,
     emitter: Emitter,
     window: Nodes,
     row: int,
@@ -163,11 +176,11 @@ def _add(
         samples,
         first,
         first_ms,
-        scenario.front_end.sample_rate_hz / 1000.0,
-        _carrier_cubics(scenario.front_end, emitter, window.carrier_s[row], ms),
+        front_end.sample_rate_hz / 1000.0,
+        _carrier_cubics(front_end, emitter, window.carrier_s[row], ms),
         code_chips,
         chip_base,
-        _amplitudes(scenario.front_end, emitter, ms),
+        _amplitudes(front_end, emitter, ms),
         signal.primary_code(emitter.prn),
         symbols.values,
         symbols.first,

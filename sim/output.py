@@ -55,9 +55,10 @@ def write_scenario(
 
 def config_of(scenario: Scenario) -> dict[str, Any]:
     """The configuration that processes the recording: format, front end, signals, truth."""
-    front_end = scenario.front_end
+    (out,) = scenario.streams
+    front_end = out.front_end
     stream = {
-        "name": "L1",
+        "name": out.name,
         "format": front_end.format,
         "samples": "iq" if front_end.is_complex else "real",
         "sample_rate": front_end.sample_rate_hz,
@@ -75,10 +76,10 @@ def config_of(scenario: Scenario) -> dict[str, Any]:
 def _write_samples(
     scenario: Scenario, path: Path, threads: int, progress: Callable[[float], None]
 ) -> None:
-    front_end = scenario.front_end
+    front_end = scenario.streams[0].front_end
     total = 0
     with reporting(path), part_path(path).open("wb") as file:
-        for piece in recording(scenario, threads):
+        for piece in recording(scenario, threads=threads):
             file.write(piece)
             total += len(piece)
             progress(total / front_end.bytes_per_second)
@@ -97,7 +98,7 @@ def instants(scenario: Scenario, step_s: float) -> FloatArray:
 def _truth_rows(scenario: Scenario) -> Iterator[str]:
     """Antenna position and velocity, one row per instant of true time."""
     t_s = instants(scenario, _TRUTH_STEP_S)
-    motion = scenario.trajectory.at(t_s)
+    motion = scenario.vehicle.at(t_s)
     geodetic = np.column_stack(pymap3d.ecef2geodetic(*motion.r_m.T, deg=False))
     for t, (lat, lon, height), v_e in zip(t_s, geodetic, motion.v_mps, strict=True):
         north, east, down = C_ne(lat, lon) @ v_e + 0.0  # no -0.000000

@@ -10,20 +10,20 @@ from typing import Final
 import numpy as np
 
 from deepgnss.core.errors import ConfigError
-from deepgnss.core.records import GPS_L1CA, NavData
+from deepgnss.core.records import GPS_L1CA, NavData, Oscillator
 from deepgnss.core.time import GpsTime
 from deepgnss.sim.constellation import nominal_gps
 from deepgnss.sim.delays import look
 from deepgnss.sim.orbits import nearest_set, orbit_of, travel
-from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario
+from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario, Stream
 from deepgnss.sim.trajectory import Ellipse, Path, Static, Trajectory, smooth_profile
 
 _PLACE: Final = (math.radians(52.264), math.radians(10.526), 120.0)
 # Four seconds before a frame that brings page 18: ephemeris, ionosphere and UTC within 28 s.
 _START: Final = GpsTime(2290, 382_256.0)
 _MASK_RAD: Final = math.radians(10.0)
-_TCXO: Final = ReceiverClock(offset_s=2.7e-4, drift_sps=1.4e-7, h0_s=1.0e-21, h_2_ps=2.0e-20)
-_OCXO: Final = ReceiverClock(offset_s=-4.1e-5, drift_sps=2.0e-8, h0_s=2.0e-25, h_2_ps=6.0e-25)
+_TCXO: Final = ReceiverClock(2.7e-4, 1.4e-7, Oscillator("TCXO", 1.0e-21, 0.0, 2.0e-20, 0.0))
+_OCXO: Final = ReceiverClock(-4.1e-5, 2.0e-8, Oscillator("OCXO", 2.0e-25, 0.0, 6.0e-25, 0.0))
 
 
 def preset(name: str, seconds: float | None, rate_hz: float | None, seed: int) -> Scenario:
@@ -38,7 +38,9 @@ def preset(name: str, seconds: float | None, rate_hz: float | None, seed: int) -
     scenario = PRESETS[name](seconds, seed)
     if rate_hz is None:
         return scenario
-    return replace(scenario, front_end=replace(scenario.front_end, sample_rate_hz=rate_hz))
+    (stream,) = scenario.streams
+    front_end = replace(stream.front_end, sample_rate_hz=rate_hz)
+    return replace(scenario, streams=(replace(stream, front_end=front_end),))
 
 
 def _demo(seconds: float | None, seed: int) -> Scenario:
@@ -114,10 +116,10 @@ def _scenario(
         name=name,
         start=_START,
         seconds=seconds,
-        trajectory=trajectory,
+        vehicle=trajectory,
         emitters=tuple(Emitter(sat, ((0.0, cn0_dbhz(seen[sat])),)) for sat in visible),
         nav=nav,
-        front_end=front_end,
+        streams=(Stream("L1", front_end),),
         clock=clock,
         seed=seed,
     )

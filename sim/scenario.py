@@ -7,14 +7,15 @@ sample_s minus the clock error, in seconds of GPST from `Scenario.start`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
 
 from deepgnss.core.errors import ConfigError
-from deepgnss.core.records import Ephemeris, NavData
+from deepgnss.core.records import Ephemeris, FloatArray, NavData, Oscillator, SignalId
 from deepgnss.core.time import GpsTime
 from deepgnss.io.formats import VALUE_BITS, ValueFormat
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL, Signal
 from deepgnss.sim.orbits import nearest_set
-from deepgnss.sim.trajectory import Trajectory
+from deepgnss.sim.trajectory import Trajectory as Vehicle
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +64,15 @@ class FrontEnd:
             return self.sample_rate_hz
         return 2.0 * min(self.intermediate_hz, self.sample_rate_hz / 2 - self.intermediate_hz)
 
+    def hears(self, signal: SignalId) -> bool:
+        """Whether the sampled band holds the carrier and half the chip rate on either side."""
+        low_hz, high_hz = (
+            signal.carrier_hz - self.centre_hz + self.intermediate_hz + side * signal.chip_rate_hz
+            for side in (-0.5, 0.5)
+        )
+        half_hz = self.sample_rate_hz / 2.0
+        return low_hz >= (-half_hz if self.is_complex else 0.0) and high_hz <= half_hz
+
     @property
     def bytes_per_second(self) -> float:
         """Size of a second of recording."""
@@ -74,17 +84,34 @@ class FrontEnd:
         return self.bits or VALUE_BITS[self.format]
 
 
+class Antenna(NamedTuple):
+    """An antenna on the vehicle."""
+
+    name: str = "main"
+    lever_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # IMU → phase centre, body FRD
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """One front end behind one antenna, which fills one file."""
+
+    name: str
+    front_end: FrontEnd
+    antenna: int = 0  # of Scenario.antennas
+
+
 @dataclass(frozen=True, slots=True)
 class ReceiverClock:
-    """Clock reading − GPST = offset + drift·t + noise, t in s of the clock's own count.
+    """Clock reading − GPST = offset + drift·t + the oscillator's noise, t in s of its own count.
 
-    h0 and h_2 (h₋₂) are white and random-walk frequency noise, one-sided S_y(f) = h0 + h₋₂/f².
+    The oscillator also feels specific force along `axis_b`, a unit vector in body axes: its
+    relative frequency rises by the g-sensitivity times what exceeds the force at rest and level.
     """
 
     offset_s: float = 0.0
     drift_sps: float = 0.0
-    h0_s: float = 0.0
-    h_2_ps: float = 0.0
+    oscillator: Oscillator | None = None
+    axis_b: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +138,39 @@ class Emitter:
         return [value for second, value in self.cn0_dbhz if second <= max(t_s, 0.0)][-1]
 
 
+class View(NamedTuple):
+    """A satellite as an antenna sees it at true times (n,): what surroundings decide upon."""
+
+    satellite: str
+    t_s: FloatArray  # (n,) since the start
+    r_n_m: FloatArray  # (n, 3) antenna in the local NED frame of the vehicle's place
+    azimuth_rad: FloatArray  # (n,) in the same frame
+    elevation_rad: FloatArray
+
+
+class Arrivals(NamedTuple):
+    """What is left of a signal on its ways to an antenna, at the times of a View.
+
+    Amplitudes are factors on that of the free line of sight. A reflected ray's carrier is turned
+    by π besides its extra path; its excess only matters where its amplitude is not zero.
+    """
+
+    direct: FloatArray  # (n,) line of sight: 0 blocked, 1 free
+    ray_amplitude: FloatArray  # (rays, n)
+    ray_excess_m: FloatArray  # (rays, n) extra path
+
+
+class Surroundings(Protocol):
+    """Everything around the vehicle that stands in a signal's way or reflects it."""
+
+    @property
+    def rays(self) -> int:
+        """Greatest number of reflected rays of a satellite."""
+
+    def arrivals(self, view: View, carrier_hz: float) -> Arrivals:
+        """What arrives: a function of its arguments alone, whatever is asked before."""
+
+
 @dataclass(frozen=True, slots=True)
 class Scenario:
     """What is simulated. Same scenario, same samples, for any number of threads."""
@@ -118,11 +178,13 @@ class Scenario:
     name: str
     start: GpsTime  # what the receiver's clock reads at sample 0
     seconds: float
-    trajectory: Trajectory  # of the antenna
+    vehicle: Vehicle
     emitters: tuple[Emitter, ...]
     nav: NavData  # true orbits and clocks, and what is broadcast
-    front_end: FrontEnd
+    streams: tuple[Stream, ...]
+    antennas: tuple[Antenna, ...] = (Antenna(),)
     clock: ReceiverClock = field(default_factory=ReceiverClock)
+    surroundings: Surroundings | None = None
     ionosphere: bool = True  # Klobuchar of `nav`: delays the code, advances the carrier
     troposphere: bool = True  # Saastamoinen
     noise: bool = True
@@ -137,6 +199,16 @@ class Scenario:
             raise ConfigError(f"satellites: no ephemeris of {', '.join(missing)} in the NAV data")
         if self.ionosphere and "G" not in self.nav.klobuchar:
             raise ConfigError("ionosphere: the NAV data hold no Klobuchar coefficients of GPS")
+        for stream in self.streams:
+            if not 0 <= stream.antenna < len(self.antennas):
+                raise ConfigError(f"streams: {stream.name}: there is no antenna {stream.antenna}")
+        unheard = {
+            e.signal.id.name: f"{e.signal.id.carrier_hz / 1e6:g} MHz ± half the chip rate"
+            for e in self.emitters
+            if self.streams and not any(s.front_end.hears(e.signal.id) for s in self.streams)
+        }
+        for signal, where in unheard.items():
+            raise ConfigError(f"streams: none samples the band of {signal}, {where}")
 
     def orbit_set(self, satellite: str) -> Ephemeris:
         """The ephemeris that is both the truth and the message: toe nearest to the middle.
@@ -146,7 +218,6 @@ class Scenario:
         middle = self.start.plus(self.seconds / 2.0)
         return nearest_set(self.nav.ephemerides[satellite], middle)
 
-    @property
-    def sample_count(self) -> int:
-        """Whole samples in the recording, rounded down to a multiple of 8 (whole bytes)."""
-        return int(self.seconds * self.front_end.sample_rate_hz) // 8 * 8
+    def sample_count(self, stream: Stream) -> int:
+        """Whole samples in a stream, rounded down to a multiple of 8 (whole bytes)."""
+        return int(self.seconds * stream.front_end.sample_rate_hz) // 8 * 8

@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy.interpolate import BPoly, PPoly
 
+from deepgnss.core.errors import ConfigError
 from deepgnss.core.frames import C_ne, ecef
 from deepgnss.core.records import FloatArray
 
@@ -42,6 +43,12 @@ class Trajectory:
     longitude_rad: float
     height_m: float
     path: Path
+
+    def point(self, t_s: FloatArray, lever_b_m: tuple[float, float, float]) -> Motion:
+        """Motion in ECEF of the path's own point; there is no attitude to turn a lever arm."""
+        if any(lever_b_m):
+            raise ConfigError(f"lever_arm: {lever_b_m} needs a vehicle with an attitude")
+        return self.at(t_s)
 
     def at(self, t_s: FloatArray) -> Motion:
         """Motion in ECEF."""

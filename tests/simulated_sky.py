@@ -28,7 +28,7 @@ from deepgnss.sim.generator import recording
 from deepgnss.sim.navbits import lnav_symbols
 from deepgnss.sim.orbits import orbit_of
 from deepgnss.sim.presets import elevations
-from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario
+from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario, Stream
 from deepgnss.sim.trajectory import Path, Static, Trajectory
 
 CHIP_HZ, CARRIER_HZ, CODE_CHIPS = GPS_L1CA.chip_rate_hz, GPS_L1CA.carrier_hz, 1023
@@ -46,11 +46,11 @@ class Sky:
 
     @property
     def rate_hz(self) -> float:
-        return self.scenario.front_end.sample_rate_hz
+        return self.scenario.streams[0].front_end.sample_rate_hz
 
     @cached_property
     def stream(self) -> StreamInfo:
-        end = self.scenario.front_end
+        end = self.scenario.streams[0].front_end
         return StreamInfo(
             "L1", self.rate_hz, end.centre_hz, end.intermediate_hz, True, len(self.samples)
         )
@@ -128,8 +128,8 @@ def make_sky(
         place,
         emitters,
         nav,
-        FrontEnd(rate_hz),
-        clock or ReceiverClock(),
+        (Stream("L1", FrontEnd(rate_hz)),),
+        clock=clock or ReceiverClock(),
         seed=seed,
     )
     data = b"".join(recording(scenario))

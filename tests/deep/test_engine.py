@@ -152,7 +152,7 @@ def test_a_fast_receiver_is_found_at_once_too() -> None:
 @pytest.mark.parametrize("run", [_causal, _scouted])
 def test_position_velocity_and_clock(run: object) -> None:
     sky = shared_sky()
-    truth_e_m = sky.scenario.trajectory.at(np.zeros(1)).r_m[0]
+    truth_e_m = sky.scenario.vehicle.at(np.zeros(1)).r_m[0]
     solutions = [f.solution for f in _fixes(run()[1]) if f.solution.valid]  # type: ignore[operator]
     late = solutions[15:]
     errors_m = np.array([s.r_e_m - truth_e_m for s in late])

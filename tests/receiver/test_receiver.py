@@ -39,7 +39,7 @@ def _feed() -> SumFeed:
 
 
 def _receiver(knowledge: Knowledge) -> Receiver:
-    return Receiver(GPS_L1CA_SIGNAL, RATE_HZ, SETTINGS, knowledge)
+    return Receiver([(GPS_L1CA_SIGNAL, RATE_HZ)], SETTINGS, knowledge)
 
 
 # --- hand-over -----------------------------------------------------------------------------------
@@ -48,7 +48,7 @@ def _receiver(knowledge: Knowledge) -> Receiver:
 def test_with_time_place_and_orbits_the_first_epoch_knows_all() -> None:
     """Channels start with transmit time and symbol edges, no frame has been seen."""
     sky = shared_sky()
-    place_e_m = sky.scenario.trajectory.at(np.zeros(1)).r_m[0]
+    place_e_m = sky.scenario.vehicle.at(np.zeros(1)).r_m[0]
     knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m + 500.0)
     receiver = _receiver(knowledge)
     receiver.step(_feed(), 0, 260_000)

@@ -21,7 +21,7 @@ from deepgnss.io.rinex_nav import read_nav
 from deepgnss.sim.converter import convert, step_over_sigma
 from deepgnss.sim.output import config_of, write_scenario
 from deepgnss.sim.presets import preset
-from deepgnss.sim.scenario import Emitter, FrontEnd
+from deepgnss.sim.scenario import Emitter, FrontEnd, Stream
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_readers_see_the_levels(tmp_path: Path, container: ValueFormat, bits: in
     samples = np.random.default_rng(8).standard_normal((2, 4096)).astype(np.float32) * 7.0
     path = tmp_path / "rec.bin"
     path.write_bytes(convert(samples, 7.0, front_end))
-    scenario = replace(preset("demo", 0.5, None, 1), front_end=front_end)
+    scenario = replace(preset("demo", 0.5, None, 1), streams=(Stream("L1", front_end),))
     stream = config_of(scenario)["recording"]["streams"][0]
     settings = [f"recording.streams=[{{{', '.join(f'{k}: {v}' for k, v in stream.items())}}}]"]
     config = load_config(None, settings)

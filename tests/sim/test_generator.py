@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
-from deepgnss.core.records import GPS_L1CA, ComplexArray, FloatArray
+from deepgnss.core.records import GPS_L1CA, ComplexArray, FloatArray, Oscillator
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver.lnav import find_frames
 from deepgnss.receiver.signals import ca_code
@@ -20,7 +20,7 @@ from deepgnss.sim.delays import clock_error, receive
 from deepgnss.sim.generator import recording, sample_source
 from deepgnss.sim.orbits import orbit_of
 from deepgnss.sim.presets import elevations, preset
-from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario
+from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario, Stream
 from deepgnss.sim.trajectory import Line, Path, Sine, Static, Trajectory, smooth_profile
 
 Samples = NDArray[np.int64] | FloatArray
@@ -49,7 +49,16 @@ def _scenario(
     highest = sorted(seen, key=lambda satellite: -seen[satellite])[:count]
     emitters = tuple(Emitter(satellite, ((0.0, cn0_dbhz),)) for satellite in highest)
     return Scenario(
-        "test", START, seconds, place, emitters, nav, front_end, clock, noise=noise, seed=seed
+        "test",
+        START,
+        seconds,
+        place,
+        emitters,
+        nav,
+        (Stream("L1", front_end),),
+        clock=clock,
+        noise=noise,
+        seed=seed,
     )
 
 
@@ -62,7 +71,7 @@ class _Truth:
 
     def at(self, samples: Samples) -> tuple[FloatArray, FloatArray]:
         """Carrier in cycles, without ambiguity, and satellite time in s since START's second."""
-        front_end, clock = self.scenario.front_end, self.scenario.clock
+        front_end, clock = self.scenario.streams[0].front_end, self.scenario.clock
         reading_s = samples / front_end.sample_rate_hz
         error_s = clock.offset_s + clock.drift_sps * reading_s
         truth = receive(self.scenario, self.emitter, self.orbit, reading_s - error_s)
@@ -73,7 +82,7 @@ class _Truth:
 
     def between(self, first: int, count: int) -> tuple[FloatArray, FloatArray]:
         """The same at samples [first, first + count): a spline through points 0.1 ms apart."""
-        step = self.scenario.front_end.sample_rate_hz * 1.0e-4
+        step = self.scenario.streams[0].front_end.sample_rate_hz * 1.0e-4
         knots = first + np.arange(-2, np.ceil(count / step) + 3) * step
         samples = np.arange(first, first + count)
         cycles, sent_s = (CubicSpline(knots, values)(samples) for values in self.at(knots))
@@ -86,7 +95,7 @@ class _Truth:
 
     def code_starts(self, first: int, count: int, every_s: float = 1.0e-3) -> FloatArray:
         """Instants, in samples, at which satellite time is a multiple of `every_s`."""
-        rate_hz = self.scenario.front_end.sample_rate_hz
+        rate_hz = self.scenario.streams[0].front_end.sample_rate_hz
         instants = first + np.arange(count) * every_s * rate_hz
         wanted = np.ceil(self.at(instants[:1])[1][0] / every_s) * every_s
         for _ in range(3):
@@ -172,8 +181,8 @@ def test_doppler_is_positive_while_the_range_shrinks() -> None:
     emitter = away.emitters[0]
     closing = replace(
         away,
-        trajectory=replace(
-            away.trajectory, path=Line((0.0, 0.0, -1.0), smooth_profile([(0.0, 3_000.0)]))
+        vehicle=replace(
+            away.vehicle, path=Line((0.0, 0.0, -1.0), smooth_profile([(0.0, 3_000.0)]))
         ),
     )
     for scenario, sign in ((away, -1.0), (closing, 1.0)):
@@ -264,12 +273,12 @@ def test_steps_of_carrier_to_noise() -> None:
     ids=["plain", "real, filtered", "filtered"],
 )
 def test_same_bytes_for_any_threads_and_any_stretch(front_end: FrontEnd) -> None:
-    clock = replace(CLOCK, h0_s=1.0e-21, h_2_ps=2.0e-20)
+    clock = replace(CLOCK, oscillator=Oscillator("TCXO", 1.0e-21, 0.0, 2.0e-20, 0.0))
     scenario = _scenario(count=3, front_end=front_end, noise=True, clock=clock, seconds=1.2)
     whole = b"".join(recording(scenario, threads=1))
-    assert len(whole) == scenario.sample_count * front_end.bytes_per_second // (
-        front_end.sample_rate_hz
-    )
+    assert len(whole) == scenario.sample_count(
+        scenario.streams[0]
+    ) * front_end.bytes_per_second // (front_end.sample_rate_hz)
     assert b"".join(recording(scenario, threads=3)) == whole
     source = sample_source(scenario)
     together = source(0, 300_000)
@@ -331,12 +340,16 @@ def test_navigation_bits_leave_at_their_time() -> None:
 
 def test_clock_noise_follows_its_density() -> None:
     """Allan variance at τ: h0/(2τ) + (2π²/3)·h₋₂·τ; 3 h of white, 200 starts of random walk."""
-    white = clock_error(ReceiverClock(h0_s=1.0e-20), 2000.0, seed=3)
+    white = clock_error(
+        ReceiverClock(oscillator=Oscillator("white", 1.0e-20, 0.0, 0.0, 0.0)), 2000.0, seed=3
+    )
     for tau_ms in (10, 1000):
         phase = white[::tau_ms]
         allan = np.mean(np.diff(phase, 2) ** 2) / 2.0 / (tau_ms * 1.0e-3) ** 2
         assert allan == pytest.approx(1.0e-20 / 2.0 / (tau_ms * 1.0e-3), rel=0.15)
-    walk = clock_error(ReceiverClock(h_2_ps=1.0e-20), 2000.0, seed=4)[::1000]
+    walk = clock_error(
+        ReceiverClock(oscillator=Oscillator("walk", 0.0, 0.0, 1.0e-20, 0.0)), 2000.0, seed=4
+    )[::1000]
     allan = np.mean(np.diff(walk, 2) ** 2) / 2.0
     assert allan == pytest.approx(2.0 * np.pi**2 / 3.0 * 1.0e-20, rel=0.15)
     assert clock_error(ReceiverClock(2.0e-4, 1.0e-7), 5.0, seed=1)[[2000, 5000]] == pytest.approx(
@@ -348,5 +361,5 @@ def test_presets_have_their_satellites() -> None:
     for name, count in (("demo", 9), ("static48", 10), ("bench", 8)):
         scenario = preset(name, None, None, seed=1)
         assert len(scenario.emitters) == count
-        seen = elevations(scenario.nav, scenario.start, scenario.trajectory)
+        seen = elevations(scenario.nav, scenario.start, scenario.vehicle)
         assert all(seen[e.satellite] > np.radians(10.0) for e in scenario.emitters)
