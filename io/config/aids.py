@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from importlib.resources import files
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from deepgnss.core.records import Oscillator
+from deepgnss.io.config.imu_grade import NamedImuGrade
 from deepgnss.io.config.quantity import ExistingFile, Quantity, Section, Switch, misfit
 from deepgnss.io.config.text import parse_value
+
+NovatelModel = Literal[
+    "FSAS", "STIM300", "HG1700-AG11", "HG1700-AG17", "HG1700-AG58", "HG1700-AG62", "HG1900",
+    "HG1930", "HG4930", "LN200", "ADIS16488", "uIMU", "ISA100C", "KVH1750", "CPT",
+]  # fmt: skip
+"""Units whose RAWIMU counts we know (NovAtel OEM7 reference, log RAWIMUSX)."""
 
 Metres = Annotated[float, Quantity(-100.0, 100.0, "m")]
 Degrees = Annotated[float, Quantity(-360.0, 360.0, "deg")]
@@ -74,6 +81,10 @@ class ImuConfig(Section):
     columns: Annotated[tuple[str, ...], Field(min_length=7)] | None = None
     """Names in file order, for files without a header we know."""
     units: ImuUnitsConfig = ImuUnitsConfig()
+    model: NovatelModel | None = None
+    """Unit behind a NovAtel log (its RAWIMU counts differ), with `format: novatel_rawimu`."""
+    rate: Annotated[float, Quantity(1.0, 10_000.0, "Hz")] | None = None
+    """Rate of the log, Hz, to hold it against; omitted: as found."""
     time: Literal["gpst", "sample", "tick"] = "gpst"
     """GPST seconds, samples of the IF clock, or ticks (with `tick` and `start` or `tag_file`)."""
     tick: Annotated[float, Quantity(0.0, 10.0, "s", above=True)] | None = None
@@ -87,8 +98,9 @@ class ImuConfig(Section):
     time_offset: Annotated[float, Quantity(-1e5, 1e5, "s")] | Literal["auto"] = 0.0
     """Added to IMU time, s; or auto."""
     axes: Axes = "FRD"
-    """Directions of the IMU's axes in the vehicle, or the 3×3 matrix that turns them to FRD."""
-    grade: str | dict[str, float] = "MTi-G"
+    """Directions of the log's axes in the vehicle (NovAtel: mostly RFU), or the 3×3 matrix that
+    turns them to FRD."""
+    grade: NamedImuGrade = Field(default="MTi-G", validate_default=True)
     """Error model: a name in configs/imu, or its values."""
     lever_arm: tuple[Metres, Metres, Metres] = (0.0, 0.0, 0.0)
     """m, from the IMU to the antenna phase centre, in body FRD."""
@@ -102,6 +114,9 @@ class ImuConfig(Section):
             raise misfit("expected a length in s with `time: tick`, and only then", "tick")
         if self.time == "tick" and (self.start is None) == (self.tag_file is None):
             raise misfit("expected either `start` or `tag_file` with `time: tick`", "start")
+        if (self.model is not None) != (self.format == "novatel_rawimu"):
+            known = ", ".join(get_args(NovatelModel))
+            raise misfit(f"expected one of {known} with `format: novatel_rawimu` only", "model")
         rates = {"rad/s", "deg/s"}
         if (self.units.gyro in rates) != (self.kind == "rates"):
             raise misfit(f"expected a unit of {self.kind}", "units.gyro")

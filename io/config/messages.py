@@ -56,7 +56,11 @@ def explain(error: ValidationError, model: type[BaseModel], data: Any) -> dict[L
     found: dict[Location, str] = {}
     for detail in error.errors(include_url=False):
         location, value = _place(detail, data)
-        if detail["type"] == "too_short" and value and detail["ctx"]["actual_length"] < len(value):
+        if (
+            detail["type"] == "too_short"
+            and value
+            and detail["ctx"]["actual_length"] < _length(value)
+        ):
             continue  # pydantic counts good members only; the bad ones have lines of their own
         found.setdefault(location, _short(value))
         texts = expected.setdefault(location, [])
@@ -67,6 +71,10 @@ def explain(error: ValidationError, model: type[BaseModel], data: Any) -> dict[L
         location: f"{dotted(location) or 'document'}: " + _sentence(found[location], texts)
         for location, texts in expected.items()
     }
+
+
+def _length(value: object) -> int:
+    return len(value) if isinstance(value, list) else 1  # one value stands for a list of one
 
 
 def _sentence(found: str, texts: list[str]) -> str:

@@ -410,7 +410,9 @@ def test_reference_page_is_in_step_with_the_schema():
 def test_example_gives_every_key_of_the_reference():
     given = yaml_keys(EXAMPLE.read_text(encoding="utf-8"))
     optional = {"name", "h0", "h-1", "h-2", "g_sensitivity", "scale", "columns"}
-    optional |= {"tick", "start", "tag_file", "roll", "pitch", "yaw"}
+    optional |= {"tick", "start", "tag_file", "roll", "pitch", "yaw", "model", "rate"}
+    optional |= {"gyro", "accelerometer", "bias", "drift", "drift_time", "noise"}  # of a grade
+    optional |= {"initial", "velocity", "tilt", "heading"}
     listed = set(re.findall(r"^\| `([\w-]+)`", reference_markdown(), re.MULTILINE))
     assert listed - given <= optional
 
