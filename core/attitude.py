@@ -184,6 +184,17 @@ def quaternion_from_euler(euler_rad: FloatArray) -> FloatArray:
     )
 
 
+def matrix_from_euler(euler_rad: FloatArray) -> FloatArray:
+    """C_nb (..., 3, 3) of roll, pitch, yaw (..., 3)."""
+    (cr, cp, cy), (sr, sp, sy) = (function(_parts(euler_rad)) for function in (np.cos, np.sin))
+    rows = [
+        [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
+        [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
+        [-sp, sr * cp, cr * cp],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
 def euler_rad(q_nb: FloatArray) -> FloatArray:
     """Roll, pitch, yaw (..., 3) of q_nb (..., 4): ±π, ±π/2, ±π; roll is 0 where pitch is ±π/2."""
     C = rotation_matrix(q_nb)

@@ -26,10 +26,11 @@ def ecef(lat_rad: float, lon_rad: float, height_m: float) -> FloatArray:
     return np.array(pymap3d.geodetic2ecef(lat_rad, lon_rad, height_m, deg=False), dtype=np.float64)
 
 
-def C_ne(lat_rad: float, lon_rad: float) -> FloatArray:
-    """Rotation e → n (NED): v_n = C_ne @ v_e."""
+def C_ne(lat_rad: float | FloatArray, lon_rad: float | FloatArray) -> FloatArray:
+    """Rotation e → n (NED), v_n = C_ne @ v_e: (3, 3), or (n, 3, 3) of arrays (n,)."""
     sl, cl, so, co = np.sin(lat_rad), np.cos(lat_rad), np.sin(lon_rad), np.cos(lon_rad)
-    return np.array([[-sl * co, -sl * so, cl], [-so, co, 0.0], [-cl * co, -cl * so, -sl]])
+    rows = [[-sl * co, -sl * so, cl], [-so, co, 0.0 * so], [-cl * co, -cl * so, -sl]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def azimuth_elevation(

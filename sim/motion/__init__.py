@@ -1,0 +1,1 @@
+"""Where the vehicle is and how it is turned: paths and attitudes with exact derivatives."""
