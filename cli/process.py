@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -65,9 +65,9 @@ def process(
             screen.note(f"note: {line}")
         _require_whole(config, opened)
         plan = plan_run(config, opened.streams, description.start)
-        form = next(form for form in description.streams if form.name == plan.stream.name)
+        forms = {form.name: form for form in description.streams}
         prepare_folder(config.output.directory, FILES)
-        run = _Run(config, plan, recording, form, opened, screen)
+        run = _Run(config, plan, recording, forms, opened, screen)
         usable = run.whole()
     if not usable:
         raise click.exceptions.Exit(EXIT_NOTHING_USABLE)
@@ -89,7 +89,7 @@ class _Run:
     config: Config
     plan: RunPlan
     path: Path
-    form: StreamFormat
+    forms: Mapping[str, StreamFormat]  # by stream
     recording: Recording
     screen: Screen
     stages_s: dict[str, float] = field(default_factory=dict)
@@ -126,7 +126,7 @@ class _Run:
             return self._is_consistent(outputs.code_minus_carrier.drift_mps)
         if not self.plan.scout:
             self._refuse_misdescribed(outcomes)
-        why = why_no_position(outcomes, self._seconds)
+        why = why_no_position(outcomes, self.plan.seconds)
         self.screen.note(f"error: {self.path}: no position: {why}")
         return False
 
@@ -159,7 +159,13 @@ class _Run:
         if len(timed) >= 4:
             return
         self.screen.phase("looking for what is wrong with the description")
-        found = diagnose(self.path, self.form, self.plan.signal, self.config.recording.skip)
+        found = [
+            text
+            for kinds, stream in self.plan.covered
+            for text in diagnose(
+                self.path, self.forms[stream.name], kinds[0], self.config.recording.skip
+            )
+        ]
         if found:
             raise RecordingError("\n".join(f"{self.path}: {text}" for text in found))
 
@@ -170,7 +176,8 @@ class _Run:
         if drift_mps is None or abs(drift_mps) < TOLERATED_MPS:
             return True
         off_ppm = drift_mps / SPEED_OF_LIGHT_MPS * 1e6
-        text = rate_finding(self.plan.stream, self.plan.signal, off_ppm)
+        kinds, stream = self.plan.covered[0]
+        text = rate_finding(stream, kinds[0], off_ppm)
         self.screen.note(f"error: {self.path}: {text}; observations and positions suffer")
         return False
 
@@ -189,7 +196,7 @@ class _Run:
         console.print(
             summary_table(
                 RunSummary(
-                    recording_s=self._seconds,
+                    recording_s=self.plan.seconds,
                     stages_s=self.stages_s,
                     epochs=tally.epochs,
                     fixed=tally.fixed,
@@ -200,10 +207,6 @@ class _Run:
                 )
             )
         )
-
-    @property
-    def _seconds(self) -> float:
-        return (self.plan.end - self.plan.first) / self.plan.stream.sample_rate_hz
 
     @contextmanager
     def _stage(self, name: str) -> Iterator[None]:
@@ -219,7 +222,7 @@ class _Run:
         if result.fixes:
             self.solution = result.fixes[-1].solution
         done_s = (result.end - self.plan.first) / rate
-        self.screen.update(RunState(done_s, self._seconds, result.reports, self.solution))
+        self.screen.update(RunState(done_s, self.plan.seconds, result.reports, self.solution))
 
 
 @contextmanager

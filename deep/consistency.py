@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.errors import InputFileError
-from deepgnss.core.records import Epoch, NavData, SignalId
+from deepgnss.core.records import SIGNAL_IDS, Epoch, NavData
 from deepgnss.core.time import GpsTime
 
 TOLERATED_MPS = 6.0  # 0.02 ppm; the ionosphere drifts by centimetres per second
@@ -38,18 +38,18 @@ class CodeMinusCarrier:
     do not come at the rate, or the carrier does not lie at the frequency, the description says.
     """
 
-    def __init__(self, signal: SignalId) -> None:
-        self._wavelength_m = SPEED_OF_LIGHT_MPS / signal.carrier_hz
+    def __init__(self) -> None:
         self._arcs: dict[str, _Arc] = {}
         self._longest: dict[str, _Arc] = {}
 
     def add(self, epoch: Epoch) -> None:
-        """Take the observations of the signal's satellites at one output instant."""
+        """Take the observations of all satellites at one output instant."""
         for seen in epoch.observations:
             if not seen.carrier_valid:
                 self._arcs.pop(seen.satellite, None)
                 continue
-            gap_m = seen.pseudorange_m - seen.carrier_cycles * self._wavelength_m
+            wavelength_m = SPEED_OF_LIGHT_MPS / SIGNAL_IDS[seen.signal].carrier_hz
+            gap_m = seen.pseudorange_m - seen.carrier_cycles * wavelength_m
             arc = self._arcs.get(seen.satellite)
             if arc is None or seen.slip:
                 arc = _Arc(epoch.time, gap_m, epoch.time, gap_m)

@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from deepgnss.core.records import NavSolution, SampleBlock
-from deepgnss.deep.setup import RunPlan
+from deepgnss.deep.setup import Covered, RunPlan
 from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.framing import known_symbols
 from deepgnss.receiver.modes import AidingSource
@@ -35,7 +35,7 @@ class SampleSource(Protocol):
 
 
 class Engine:
-    """One pass over the samples with one receiver."""
+    """One pass over the samples of all streams with one receiver."""
 
     def __init__(
         self,
@@ -50,8 +50,7 @@ class Engine:
         self._source = source
         self._block_s = block_s
         self.receiver = Receiver(
-            plan.signal,
-            plan.stream.sample_rate_hz,
+            [(kind, c.stream.sample_rate_hz) for c in plan.covered for kind in c.kinds],
             plan.settings,
             knowledge,
             executor,
@@ -62,19 +61,23 @@ class Engine:
         """Run epoch by epoch to the end of the plan."""
         plan = self._plan
         rate = plan.stream.sample_rate_hz
-        feed = SumFeed(
-            lambda first, count: self._source.read(plan.stream.name, first, count),
-            plan.stream,
-            plan.signal.id.carrier_hz,
-            plan.first,
-            self._block_s,
-        )
+        feeds = {covered.id.name: self._feed(covered) for covered in plan.covered}
         first, epoch = plan.first, 0
         while first < plan.end:
             epoch += 1
             end = min(plan.first + round(epoch * plan.epoch_s * rate), plan.end)
-            yield self.receiver.step(feed, first, end, aiding)
+            yield self.receiver.step(feeds, first, end, aiding)
             first = end
+
+    def _feed(self, covered: Covered) -> SumFeed:
+        stream = covered.stream
+        return SumFeed(
+            lambda first, count: self._source.read(stream.name, first, count),
+            stream,
+            covered.id.carrier_hz,
+            self.receiver.sample_in(stream.sample_rate_hz, self._plan.first),
+            self._block_s,
+        )
 
 
 @contextmanager
@@ -114,9 +117,10 @@ class ScoutPass:
     def _complete(self) -> bool:
         """Every tracked satellite has told its orbit, and the ionosphere is known."""
         receiver = self._engine.receiver
-        orbits = receiver.nav.ephemerides
-        heard = all(channel.satellite in orbits for channel in receiver.channels.values())
-        return heard and receiver.signal.id.system in receiver.nav.klobuchar
+        nav = receiver.nav
+        heard = all(channel.satellite in nav.ephemerides for channel in receiver.channels)
+        systems = {channel.signal.id.system for channel in receiver.channels}
+        return heard and systems <= set(nav.klobuchar)
 
     @property
     def knowledge(self) -> Knowledge:
@@ -124,7 +128,7 @@ class ScoutPass:
         receiver, before = self._engine.receiver, self._plan.knowledge
         symbols = {
             channel.satellite: told
-            for channel in receiver.channels.values()
+            for channel in receiver.channels
             if (told := known_symbols(channel)) is not None
         }
         known = replace(before, nav=receiver.nav, clock=receiver.clock, symbols=symbols)

@@ -70,7 +70,7 @@ class Outputs:
         """Open the files the config asks for, in a folder that is there."""
         self.folder = Path(config.output.directory)
         self.tally = Tally()
-        self.code_minus_carrier = CodeMinusCarrier(plan.signal.id)
+        self.code_minus_carrier = CodeMinusCarrier()
         self._stack = ExitStack()
         self._config = config
         self._plan = plan
@@ -90,8 +90,8 @@ class Outputs:
             self._writers.append(writer)
             return writer
 
-        signals = (plan.signal.id,)
-        duration_s = (plan.end - plan.first) / self._rate
+        signals = tuple(covered.id for covered in plan.covered)
+        duration_s = plan.seconds
         utc = knowledge.nav.utc
         self._obs: RinexObsWriter | None = None
         self._nmea: NmeaWriter | None = None
@@ -118,7 +118,10 @@ class Outputs:
         if output.correlations:
             half = plan.settings.tracking.spacing_chips / 2.0
             self._correlations = enter(
-                CorrelationWriter(folder / "correlations.h5", {signals[0].name: (half, 0.0, -half)})
+                CorrelationWriter(
+                    folder / "correlations.h5",
+                    {signal.name: (half, 0.0, -half) for signal in signals},
+                )
             )
 
     def write(self, result: StepResult) -> None:
@@ -136,9 +139,10 @@ class Outputs:
             for writer in self._writers:
                 writer.flush()
         if self._correlations is not None:
+            signals = {report.satellite: report.signal for report in result.reports}
             for satellite, records in result.correlations.items():
                 for record in records:
-                    self._correlations.write(satellite, self._plan.signal.id.name, record)
+                    self._correlations.write(satellite, signals[satellite], record)
 
     def _time_at_end(self, result: StepResult) -> GpsTime | None:
         """GPST at a step's end, carried on from the last epoch; None before the first."""
@@ -179,9 +183,9 @@ class Outputs:
         self._stack.close()
         start = self.tally.start
         if self._config.output.rinex and start is not None and nav.ephemerides:
-            duration_s = (self._plan.end - self._plan.first) / self._rate
-            system = self._plan.signal.id.system
-            write_nav(self.folder / long_name("N", system, start.epoch.time, duration_s), nav)
+            systems = "".join(covered.id.system for covered in self._plan.covered)
+            name = long_name("N", systems, start.epoch.time, self._plan.seconds)
+            write_nav(self.folder / name, nav)
         write_summary(self.folder / "summary.json", self._summary(outcomes, more))
 
     def _summary(
@@ -190,8 +194,8 @@ class Outputs:
         tally = self.tally
         valid = tally.last_valid
         return {
-            "signal": self._plan.signal.id.name,
-            "recording_s": (self._plan.end - self._plan.first) / self._rate,
+            "signals": [covered.id.name for covered in self._plan.covered],
+            "recording_s": self._plan.seconds,
             "epochs": tally.epochs,
             "epochs_fixed": tally.fixed,
             "first_fix_s": tally.first_fix_s,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from deepgnss.core.records import STAGES, ChannelReport, NavSolution, SatelliteOutcome
@@ -10,19 +11,20 @@ from deepgnss.receiver.signals import Signal
 
 
 class Accounts:
-    """Keeps one `SatelliteOutcome` per satellite of a signal."""
+    """Keeps one `SatelliteOutcome` per satellite of the receiver's signals."""
 
-    def __init__(self, signal: Signal) -> None:
+    def __init__(self, signals: Sequence[Signal]) -> None:
         self._outcomes = {
             signal.satellite(prn): SatelliteOutcome(
                 signal.satellite(prn), signal.id.name, STAGES[0], None, None, 0, ""
             )
+            for signal in signals
             for prn in signal.prns
         }
 
     @property
     def outcomes(self) -> tuple[SatelliteOutcome, ...]:
-        """All satellites of the signal."""
+        """All satellites of the signals."""
         return tuple(self._outcomes.values())
 
     def stage(self, satellite: str) -> str:

@@ -265,9 +265,10 @@ class Channel:
     @property
     def _full(self) -> int:
         """Periods of an undivided interval; frequency is seen best over whole symbols."""
+        symbol = self.signal.symbol_periods
         if self.mode is Mode.PHASE:
-            return self.settings.coherent_periods
-        return self.signal.symbol_periods
+            return min(round(self.settings.coherent_s / self.signal.period_s), symbol)
+        return symbol
 
     @property
     def _carrier_tracker(self) -> Tracker:

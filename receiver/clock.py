@@ -47,6 +47,10 @@ class ReceiverClock:
     since_s: float = 0.0
     uncertainty_s: float = _STEERED_S  # of the origin, until a solution has steered it
 
+    def at_rate(self, sample_rate_hz: Fraction) -> ReceiverClock:
+        """The same clock for another stream, sampled from the same instant on."""
+        return replace(self, sample_rate_hz=sample_rate_hz)
+
     def error_s(self, elapsed_s: float) -> float:
         """The sample counter's advance on GPST at a nominal time since sample 0."""
         return self.bias_s + self.drift_sps * (elapsed_s - self.since_s)

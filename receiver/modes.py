@@ -34,7 +34,7 @@ class TrackingSettings:
 
     carrier_order: int = 3
     carrier_bandwidth_hz: float = 7.0
-    coherent_periods: int = 20
+    coherent_s: float = 0.02  # of a phase-locked interval, at most a symbol
     code_order: int = 2
     code_bandwidths_hz: tuple[float, ...] = (3.0, 1.0, 0.1)
     spacing_chips: float = 0.25  # early to late

@@ -6,7 +6,7 @@ knows after a step it uses in the next; nothing looks ahead of the epoch's sampl
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -24,21 +24,19 @@ from deepgnss.core.records import (
     FloatArray,
     NavData,
     NavSolution,
-    Observation,
     RunningSums,
 )
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import framing, lnav, pvt
 from deepgnss.receiver.accounts import Accounts
-from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings
+from deepgnss.receiver.acquisition import AcquisitionSettings
+from deepgnss.receiver.bank import Bank, Head
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock, from_ns
 from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.modes import AidingSource, Mode, TrackingSettings, unaided
-from deepgnss.receiver.observables import PhaseMemory, observe
-from deepgnss.receiver.search import Place, Searcher, SearchSettings, Sight
+from deepgnss.receiver.search import Place, SearchSettings
 from deepgnss.receiver.signals import Signal
-from deepgnss.receiver.smoothing import HatchState, smooth
 
 _TRAVEL_S = 0.075  # of a signal, when nothing is known: right to 12 ms
 _TIME_GUESS_S = 0.015
@@ -69,14 +67,6 @@ class Knowledge:
     symbols: Mapping[str, framing.KnownSymbols] = field(default_factory=dict)
 
 
-class _Head(NamedTuple):
-    """A frame head not yet believed."""
-
-    channel: Channel
-    stretch: int  # the channel's `symbols_first` it counts from
-    frame: lnav.Frame
-
-
 class Fix(NamedTuple):
     """Observations and solution of one tag."""
 
@@ -99,104 +89,129 @@ class StepResult:
 
 
 class Receiver:
-    """One signal's receiver on one stream, unaided unless aiding sources are given."""
+    """Banks of channels that share time, place and navigation data; unaided unless aided.
+
+    Its own time axis is the sample counter of the first bank's stream; all streams start at the
+    same instant.
+    """
 
     def __init__(
         self,
-        signal: Signal,
-        sample_rate_hz: float,
+        signals: Sequence[tuple[Signal, float]],
         settings: ReceiverSettings,
         knowledge: Knowledge,
         executor: Executor | None = None,
         workers: int = 1,
     ) -> None:
-        """Workers: number of tasks the channels of an epoch are dealt to."""
-        self.signal = signal
+        """Signals with the sampling rates of their streams, Hz.
+
+        Workers: number of tasks the channels of an epoch are dealt to.
+        """
         self.settings = settings
         self.nav = knowledge.nav
         self.clock = knowledge.clock
         self.solution: NavSolution | None = None
-        self.channels: dict[int, Channel] = {}
-        self.accounts = Accounts(signal)
-        self._rate = Fraction(sample_rate_hz)
+        self.banks = tuple(
+            Bank(
+                signal,
+                rate_hz,
+                settings.tracking,
+                settings.acquisition,
+                settings.searching,
+                knowledge.symbols,
+            )
+            for signal, rate_hz in signals
+        )
+        self.accounts = Accounts([bank.signal for bank in self.banks])
+        self._rate = self.banks[0].rate_hz
         self._near = knowledge.near
         self._start = knowledge
         self._executor = executor
         self._workers = workers
-        self._frames: dict[int, framing.FrameState] = {}
-        self._heads: dict[int, _Head] = {}
-        self._memory: dict[int, PhaseMemory] = {}
-        self._hatch: dict[int, HatchState] = {}
-        self._searcher = Searcher(signal, settings.acquisition, settings.searching, sample_rate_hz)
         self._steered = knowledge.clock is not None  # tags mean GPST, to what is known of it
         self._last_tag_ns: int | None = None
         self._last_place: tuple[FloatArray, FloatArray] | None = None
         self._events: list[Event] = []
 
+    @property
+    def channels(self) -> list[Channel]:
+        """All channels, bank by bank in the order of PRNs."""
+        return [channel for bank in self.banks for channel in bank.tracked()]
+
     # --- the epoch ---------------------------------------------------------------------------
 
     def step(
         self,
-        feed: SumFeed,
+        feeds: Mapping[str, SumFeed],
         first: int,
         end: int,
         aiding: Mapping[str, AidingSource] | None = None,
     ) -> StepResult:
-        """Run through samples [first, end), where the feed stands at `first`."""
+        """Run through samples [first, end) of the first stream; the feeds stand at `first`.
+
+        feeds: running sums by signal name. aiding: by satellite, in samples of its own stream.
+        """
         self._events = []
-        self._search(feed, first, end)
-        self._track(feed, end, aiding or {})
+        self._search(feeds, first, end)
+        self._track(feeds, end, aiding or {})
         subframes = self._read_messages()
         fixes = self._observe(first, end)
-        reports = tuple(
-            channel.report(self.accounts.stage(channel.satellite)) for channel in self._tracked()
-        )
+        reports = tuple(report for bank in self.banks for report in bank.reports(self.accounts))
         for report in reports:
             self.accounts.tracked(report)
         correlations = {
-            channel.satellite: tuple(channel.recorded)
-            for channel in self._tracked()
-            if channel.recorded
+            satellite: taken
+            for bank in self.banks
+            for satellite, taken in bank.correlations().items()
         }
         self._retire()
         events = tuple(sorted(self._events, key=lambda event: (event.sample, event.satellite)))
         return StepResult(first, end, fixes, reports, events, subframes, correlations)
 
-    def _tracked(self) -> list[Channel]:
-        return [self.channels[prn] for prn in sorted(self.channels)]
+    def sample_in(self, rate_hz: Fraction | float, sample: int) -> int:
+        """A sample of the first stream, counted in a stream of another rate."""
+        return round(sample * Fraction(rate_hz) / self._rate)
 
-    def _track(self, feed: SumFeed, end: int, aiding: Mapping[str, AidingSource]) -> None:
+    def _log(self, events: Sequence[Event], bank: Bank) -> None:
+        """Keep events, their samples counted in the first stream."""
+        scale = self._rate / bank.rate_hz
+        self._events.extend(
+            event if scale == 1 else replace(event, sample=round(event.sample * scale))
+            for event in events
+        )
+
+    def _track(
+        self, feeds: Mapping[str, SumFeed], end: int, aiding: Mapping[str, AidingSource]
+    ) -> None:
         """Run all channels to the end, block by block: its sums are still in the cache."""
-        channels = self._tracked()
-        for channel in channels:
-            channel.begin_epoch()
-        shares = [channels[k :: self._workers] for k in range(self._workers)]
 
         def run(share: list[Channel], sums: RunningSums) -> None:
             for channel in share:
                 channel.run(sums, aiding.get(channel.satellite, unaided))
 
-        for sums in feed.advance(end):
-            if self._executor is None:
-                run(channels, sums)
-            else:
-                for task in [self._executor.submit(run, share, sums) for share in shares]:
-                    task.result()
-        for channel in channels:
-            self._events.extend(channel.events)
+        for channel in self.channels:
+            channel.begin_epoch()
+        for name, feed in feeds.items():
+            banks = [bank for bank in self.banks if bank.signal.id.name == name]
+            channels = [channel for bank in banks for channel in bank.tracked()]
+            shares = [channels[k :: self._workers] for k in range(self._workers)]
+            for sums in feed.advance(self.sample_in(banks[0].rate_hz, end)):
+                if self._executor is None:
+                    run(channels, sums)
+                else:
+                    for task in [self._executor.submit(run, share, sums) for share in shares]:
+                        task.result()
+        for bank in self.banks:
+            self._log(bank.events(), bank)
+        for channel in self.channels:
             if channel.mode is not Mode.PULL_IN:
                 self.accounts.advance(channel.satellite, "pulled in")
             if channel.edge is not None:
                 self.accounts.advance(channel.satellite, "bit sync")
 
     def _retire(self) -> None:
-        for prn, channel in list(self.channels.items()):
-            if channel.mode is Mode.LOST:
-                del self.channels[prn]
-                self._heads.pop(prn, None)
-                self._memory.pop(prn, None)
-                self._hatch.pop(prn, None)
-                self._searcher.lost(prn)
+        for bank in self.banks:
+            for channel in bank.retire():
                 reason = channel.events[-1].reason if channel.events else "lost"
                 stage = self.accounts.stage(channel.satellite)
                 self.accounts.advance(channel.satellite, stage, f"lost: {reason}")
@@ -214,93 +229,38 @@ class Receiver:
             return None
         return Place(time, self._start.position_e_m, np.zeros(3), drift_sps, moving=True)
 
-    def _search(self, feed: SumFeed, first: int, end: int) -> None:
+    def _search(self, feeds: Mapping[str, SumFeed], first: int, end: int) -> None:
         """Look for satellites that are not tracked, on the samples that begin this epoch."""
-        tracked = frozenset(self.channels)
         place = self._place(first)
-        for seen, sight in self._searcher.look(
-            feed, first, end, place, self.nav, tracked, self._executor
-        ):
-            self._take(seen, first, sight)
-
-    def _take(self, seen: Acquisition, first: int, sight: Sight | None) -> None:
-        """Give a found satellite a channel."""
-        self.accounts.searched(seen)
-        if not seen.found:
-            return
-        detail = (
-            f"peak {seen.peak_ratio:.1f} of {seen.threshold:.1f} needed, "
-            f"{seen.cn0_dbhz:.1f} dB-Hz at {seen.doppler_hz:+.0f} Hz"
-        )
-        self._events.append(Event(first, seen.satellite, "acquired", detail))
-        channel = Channel(
-            self.signal,
-            seen.prn,
-            self.settings.tracking,
-            sample_rate_hz=float(self._rate),
-            sample=first,
-            code_chips=seen.code_chips,
-            doppler_hz=seen.doppler_hz,
-        )
-        self.channels[seen.prn] = channel
-        known = self._frames.get(seen.prn)
-        self._frames[seen.prn] = (
-            framing.start(channel.satellite) if known is None else framing.resume(known)
-        )
-        self._memory[seen.prn] = PhaseMemory()
-        if sight is not None and self.clock is not None:
-            self._anchor_by_prediction(channel, sight, first)
-
-    def _anchor_by_prediction(self, channel: Channel, sight: Sight, first: int) -> None:
-        """Transmit time and symbol edges from the predicted travel time (known to ≪ 0.5 ms)."""
-        if self.clock is None:
-            return
-        period_ns = self.signal.period_s * NS
-        command = channel.command
-        wait_ns = (command.sample - first) / float(self._rate) * NS
-        sent_ns = self.clock.origin_ns + round(
-            self.clock.gpst_ns(first) + sight.transmit_s * NS + wait_ns
-        )
-        channel.anchor = round(sent_ns / period_ns)
-        channel.set_edge(-channel.anchor, "predicted travel time")
+        for bank in self.banks:
+            window = (self.sample_in(bank.rate_hz, first), self.sample_in(bank.rate_hz, end))
+            clock = self.clock.at_rate(bank.rate_hz) if self.clock is not None else None
+            feed = feeds[bank.signal.id.name]
+            found = bank.search(feed, window, place, self.nav, clock, self.accounts, self._executor)
+            self._log(found, bank)
 
     # --- messages and time ---------------------------------------------------------------------
 
     def _read_messages(self) -> tuple[tuple[str, lnav.Subframe], ...]:
         subframes: list[tuple[str, lnav.Subframe]] = []
-        for prn, channel in sorted(self.channels.items()):
-            if channel.mode is not Mode.PHASE or not channel.symbols:
-                continue
-            found = framing.read_symbols(self._frames[prn], channel, self._date())
-            self._frames[prn] = found.state
-            subframes.extend((channel.satellite, subframe) for subframe in found.subframes)
-            for frame in found.heads:
-                self._heads[prn] = _Head(channel, channel.symbols_first, frame)
-            fresh = tuple(item for item in found.news if not self._is_copy(channel, item))
-            self.nav = framing.take_news(self.nav, fresh)
-            for item in fresh:
-                if isinstance(item, Ephemeris):
-                    self._events.append(
-                        Event(
-                            channel.command.sample,
-                            channel.satellite,
-                            "ephemeris",
-                            f"IODE {item.iode}, health {item.health}",
-                        )
-                    )
+        for bank in self.banks:
+            for news in bank.read_messages(self._date()):
+                satellite = news.channel.satellite
+                subframes.extend((satellite, subframe) for subframe in news.subframes)
+                fresh = tuple(i for i in news.items if not self._is_copy(bank, news.channel, i))
+                self.nav = framing.take_news(self.nav, fresh)
+                for item in fresh:
+                    if isinstance(item, Ephemeris):
+                        detail = f"IODE {item.iode}, health {item.health}"
+                        self._note(bank, news.channel, "ephemeris", detail)
         self._take_heads()
-        for channel in self.channels.values():
-            known = self._start.symbols.get(channel.satellite)
-            if known is not None and channel.half_cycle is None:
-                half_cycle = framing.polarity(channel, known)
-                if half_cycle is not None:
-                    channel.set_polarity(half_cycle)
-        for channel in self.channels.values():
+        for bank in self.banks:
+            bank.take_known_polarities()
+        for channel in self.channels:
             if channel.anchor is not None:
-                satellite = channel.satellite
-                self.accounts.advance(satellite, "frame sync")
-                if satellite in self.nav.ephemerides:
-                    self.accounts.advance(satellite, "ephemeris")
+                self.accounts.advance(channel.satellite, "frame sync")
+                if channel.satellite in self.nav.ephemerides:
+                    self.accounts.advance(channel.satellite, "ephemeris")
         return tuple(subframes)
 
     def _date(self) -> GpsTime | None:
@@ -322,47 +282,44 @@ class Receiver:
         date = self._date()
         if date is None:
             return
-        self._heads = {
-            prn: head
-            for prn, head in self._heads.items()
-            if head.channel.symbols_first == head.stretch
-        }
         half = SECONDS_PER_WEEK // 2
-        origins: dict[int, int] = {}
-        anchors: dict[int, int] = {}
-        for prn, (channel, _, frame) in self._heads.items():
+        heads: dict[tuple[Bank, int], Head] = {
+            (bank, prn): head for bank in self.banks for prn, head in bank.present_heads().items()
+        }
+        anchors: dict[tuple[Bank, int], int] = {}
+        origins: dict[tuple[Bank, int], int] = {}
+        for key, (channel, _, frame) in heads.items():
             offset_s = (frame.start_tow_s - date.tow_s + half) % SECONDS_PER_WEEK - half
-            anchors[prn] = framing.anchor_of(channel, frame, date.plus(offset_s).week)
-            origins[prn] = self._origin_ns(channel, anchors[prn])
-        for prn, origin_ns in origins.items():
-            channel, _, frame = self._heads[prn]
+            anchors[key] = framing.anchor_of(channel, frame, date.plus(offset_s).week)
+            origins[key] = self._origin_ns(key[0], channel, anchors[key])
+        for key, origin_ns in origins.items():
+            (bank, prn), (channel, _, frame) = key, heads[key]
             agreeing = sum(abs(origin_ns - other) < 0.03 * NS for other in origins.values()) - 1
             fits = self.clock is not None and abs(origin_ns - self.clock.origin_ns) < 0.05 * NS
             if frame.confirmed or fits or agreeing >= 2:
-                self._settle(channel, frame, anchors[prn])
-                del self._heads[prn]
+                self._settle(bank, channel, frame, anchors[key])
+                del bank.heads[prn]
 
-    def _origin_ns(self, channel: Channel, anchor: int) -> int:
+    def _origin_ns(self, bank: Bank, channel: Channel, anchor: int) -> int:
         """GPST of sample 0, ns since the GPS epoch, by a channel's anchor and a guessed travel."""
-        sent_ns = (anchor + channel.periods) * round(self.signal.period_s * NS)
-        elapsed_ns = round(channel.command.sample / self._rate * NS)
+        sent_ns = (anchor + channel.periods) * round(bank.signal.period_s * NS)
+        elapsed_ns = round(channel.command.sample / bank.rate_hz * NS)
         return sent_ns + round(_TRAVEL_S * NS) - elapsed_ns
 
-    def _settle(self, channel: Channel, frame: lnav.Frame, anchor: int) -> None:
+    def _settle(self, bank: Bank, channel: Channel, frame: lnav.Frame, anchor: int) -> None:
         if channel.anchor is not None and channel.anchor != anchor:
             detail = f"frame says {anchor - channel.anchor:+d} code periods"
-            self._note(channel, "time corrected", detail)
+            self._note(bank, channel, "time corrected", detail)
         elif channel.anchor is None:
-            self._note(
-                channel, "frame sync", f"subframe {frame.subframe_id}, {frame.start_tow_s} s"
-            )
+            detail = f"subframe {frame.subframe_id}, {frame.start_tow_s} s"
+            self._note(bank, channel, "frame sync", detail)
         channel.anchor = anchor
         channel.set_polarity(0.5 if frame.polarity else 0.0)
         if self.clock is None:
-            origin_ns = self._origin_ns(channel, anchor)
+            origin_ns = self._origin_ns(bank, channel, anchor)
             self.clock = ReceiverClock(self._rate, origin_ns, uncertainty_s=_TIME_GUESS_S)
 
-    def _is_copy(self, channel: Channel, item: Ephemeris | lnav.IonoUtc) -> bool:
+    def _is_copy(self, bank: Bank, channel: Channel, item: Ephemeris | lnav.IonoUtc) -> bool:
         """True, and the channel dropped, when it reads another satellite's message.
 
         A channel locked to the cross-correlation of a strong satellite decodes that one's orbit;
@@ -374,11 +331,11 @@ class Receiver:
             same = [e for e in others if (e.m0_rad, e.omega_rad) == (item.m0_rad, item.omega_rad)]
             if satellite == channel.satellite or not same:
                 continue
-            rival = self.channels.get(int(satellite[1:]))
+            rival = bank.channels.get(int(satellite[1:]))
             if rival is None or rival.cn0_dbhz >= channel.cn0_dbhz:
-                self._drop(channel, f"cross-correlation: sends the orbit of {satellite}")
+                self._drop(bank, channel, f"cross-correlation: sends the orbit of {satellite}")
                 return True
-            self._drop(rival, f"cross-correlation: sends the orbit of {channel.satellite}")
+            self._drop(bank, rival, f"cross-correlation: sends the orbit of {channel.satellite}")
             kept = tuple(e for e in others if e not in same)
             ephemerides = {**self.nav.ephemerides, satellite: kept}
             self.nav = replace(
@@ -387,9 +344,9 @@ class Receiver:
             return False
         return False
 
-    def _drop(self, channel: Channel, reason: str) -> None:
+    def _drop(self, bank: Bank, channel: Channel, reason: str) -> None:
         channel.drop(reason)
-        self._events.append(channel.events[-1])
+        self._log(channel.events[-1:], bank)
 
     # --- observables and position --------------------------------------------------------------
 
@@ -409,7 +366,7 @@ class Receiver:
         """
         if self.clock is None:
             return []
-        lag = int(1.25 * self.signal.symbol_s * self._rate)
+        lag = int(1.25 * max(bank.signal.symbol_s for bank in self.banks) * self._rate)
         first, end = first - lag, end - lag
         begin_ns, end_ns = (
             self.clock.origin_ns + round(self.clock.gpst_ns(sample)) for sample in (first, end)
@@ -452,36 +409,20 @@ class Receiver:
         return Fix(epoch, solution, output)
 
     def _epoch(self, tag_ns: int, output: bool) -> Epoch:
-        """Observations at a tag; slips are counted from the last one put out."""
+        """Observations of all banks at a tag."""
         if self.clock is None:
             raise ValueError("no receiver time")
-        instant = self.clock.instant(tag_ns)
-        epoch_time = from_ns(tag_ns)
-        observations = []
-        for prn, channel in sorted(self.channels.items()):
-            if channel.mode is Mode.LOST:  # dropped since it ran
-                continue
-            memory = self._memory[prn]
-            seen = observe(channel, self.clock, tag_ns, instant, memory)
-            if seen is not None:
-                observations.append(self._smoothed(prn, channel, seen.observation, epoch_time))
-                self._memory[prn] = (
-                    seen.memory if output else memory._replace(ambiguity=seen.memory.ambiguity)
-                )
-        return Epoch(epoch_time, instant, tuple(observations))
-
-    def _smoothed(
-        self, prn: int, channel: Channel, observation: Observation, time: GpsTime
-    ) -> Observation:
-        if not self.settings.smoothing:
-            return observation
-        state, smoothed = smooth(
-            self._hatch.get(prn, HatchState()), observation, time, channel.slips
-        )
-        self._hatch[prn] = state
-        return smoothed
+        time = from_ns(tag_ns)
+        observations = [
+            observation
+            for bank in self.banks
+            for observation in bank.observe(
+                self.clock, tag_ns, time, output=output, smoothing=self.settings.smoothing
+            )
+        ]
+        return Epoch(time, self.clock.instant(tag_ns), tuple(observations))
 
     # --- accounts ------------------------------------------------------------------------------
 
-    def _note(self, channel: Channel, what: str, reason: str) -> None:
-        self._events.append(Event(channel.command.sample, channel.satellite, what, reason))
+    def _note(self, bank: Bank, channel: Channel, what: str, reason: str) -> None:
+        self._log([Event(channel.command.sample, channel.satellite, what, reason)], bank)

@@ -43,7 +43,7 @@ def observation(
 
 
 def drift_over(epochs: list[tuple[float, list[Observation]]]) -> float | None:
-    check = CodeMinusCarrier(GPS_L1CA)
+    check = CodeMinusCarrier()
     for seconds, observations in epochs:
         check.add(Epoch(START.plus(seconds), SampleInstant(0, 0.0), tuple(observations)))
     return check.drift_mps

@@ -26,7 +26,7 @@ from deepgnss.core.records import (
     SampleBlock,
 )
 from deepgnss.deep.engine import Engine, ScoutPass, workers
-from deepgnss.deep.setup import RunPlan, receiver_settings
+from deepgnss.deep.setup import Covered, RunPlan, receiver_settings
 from deepgnss.io.config import Config
 from deepgnss.receiver.clock import NS, to_ns
 from deepgnss.receiver.receiver import Fix, Knowledge, StepResult
@@ -42,9 +42,8 @@ def _plan(sky: Sky, end_s: float, *, nav: bool = True, threads: int = 1) -> RunP
     scenario = sky.scenario
     knowledge = Knowledge(nav=scenario.nav if nav else NavData(), near=scenario.start.plus(3000.0))
     return RunPlan(
-        signal=GPS_L1CA_SIGNAL,
-        stream=sky.stream,
-        settings=receiver_settings(config, GPS_L1CA_SIGNAL),
+        covered=(Covered((GPS_L1CA_SIGNAL,), sky.stream),),
+        settings=receiver_settings(config),
         knowledge=knowledge,
         first=0,
         end=int(end_s * sky.rate_hz),

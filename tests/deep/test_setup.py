@@ -87,7 +87,7 @@ def test_settings_arrive_where_they_belong() -> None:
     )
     tracking, search, pvt = plan.settings.tracking, plan.settings.acquisition, plan.settings.pvt
     assert (tracking.carrier_order, tracking.carrier_bandwidth_hz) == (2, 11.0)
-    assert (tracking.coherent_periods, tracking.spacing_chips) == (10, 0.6)
+    assert (tracking.coherent_s, tracking.spacing_chips) == (0.010, 0.6)
     assert (tracking.code_order, tracking.code_bandwidths_hz) == (1, (2.5, 0.4))
     assert (tracking.phase_threshold_dbhz, tracking.frequency_threshold_dbhz) == (31.0, 21.0)
     assert tracking.lost_after_s == 4.5

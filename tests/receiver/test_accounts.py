@@ -35,7 +35,7 @@ def _report(cn0_dbhz: float) -> ChannelReport:
 
 @pytest.fixture
 def accounts() -> Accounts:
-    return Accounts(GPS_L1CA_SIGNAL)
+    return Accounts([GPS_L1CA_SIGNAL])
 
 
 def _of(accounts: Accounts, satellite: str = "G05") -> tuple[str, str]:

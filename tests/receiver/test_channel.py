@@ -202,19 +202,19 @@ def test_doppler_is_positive_when_range_shrinks() -> None:
         assert last.code_hz == pytest.approx(1.023e6 + truth_hz / 1540.0, abs=0.05)
 
 
-@pytest.mark.parametrize("coherent_periods", [1, 2, 4, 5, 10])
+@pytest.mark.parametrize("coherent_ms", [1, 2, 4, 5, 10])
 @pytest.mark.parametrize("order", [2, 3])
-def test_every_coherent_time_and_order_locks(coherent_periods: int, order: int) -> None:
+def test_every_coherent_time_and_order_locks(coherent_ms: int, order: int) -> None:
     sky, satellite = shared_sky(), _satellite(44.0)
     settings = TrackingSettings(
-        carrier_order=order, carrier_bandwidth_hz=15.0, coherent_periods=coherent_periods
+        carrier_order=order, carrier_bandwidth_hz=15.0, coherent_s=1e-3 * coherent_ms
     )
     channel = start_channel(sky, satellite, settings, doppler_error_hz=4.0)
     one = track(sky, [channel], 2.4)[satellite]
     assert [event.what for event in one.events] == ["FLL", "bit sync", "PLL", "phase lock"]
     late = [i for i in one.intervals if i.command.sample > 1.4 * sky.rate_hz]
     errors = _carrier_errors(sky, satellite, late)
-    sigma = pll_thermal_sigma_cycles(44.0, 15.0, 1e-3 * coherent_periods)
+    sigma = pll_thermal_sigma_cycles(44.0, 15.0, 1e-3 * coherent_ms)
     assert np.max(np.abs(errors)) < 5.0 * sigma
     assert np.std(errors) == pytest.approx(sigma, rel=0.35)
     assert late[-1].cn0_dbhz == pytest.approx(44.0, abs=1.0)

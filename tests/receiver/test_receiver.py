@@ -14,11 +14,12 @@ from deepgnss.core.records import NavData
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import lnav
 from deepgnss.receiver.acquisition import AcquisitionSettings
+from deepgnss.receiver.bank import Head
 from deepgnss.receiver.clock import NS, ReceiverClock, to_ns
 from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.locks import LockState
 from deepgnss.receiver.modes import Mode, TrackingSettings
-from deepgnss.receiver.receiver import Knowledge, Receiver, ReceiverSettings, _Head
+from deepgnss.receiver.receiver import Knowledge, Receiver, ReceiverSettings
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL
 
 RATE_HZ = 2.6e6
@@ -51,8 +52,8 @@ def test_with_time_place_and_orbits_the_first_epoch_knows_all() -> None:
     place_e_m = sky.scenario.vehicle.at(np.zeros(1)).r_m[0]
     knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m + 500.0)
     receiver = _receiver(knowledge)
-    receiver.step(_feed(), 0, 260_000)
-    found = {channel.satellite: channel for channel in receiver.channels.values()}
+    receiver.step({"GPS_L1CA": _feed()}, 0, 260_000)
+    found = {channel.satellite: channel for channel in receiver.channels}
     strong = [e.satellite for e in sky.scenario.emitters if e.cn0_dbhz[0][1] > 33.0]
     assert set(strong) <= set(found)
     assert set(found) <= {e.satellite for e in sky.scenario.emitters}
@@ -101,20 +102,20 @@ def _with_channel(receiver: Receiver, satellite: str, symbols_first: int = 300) 
     channel = start_channel(shared_sky(), satellite, TrackingSettings())
     channel.mode = Mode.PHASE
     channel.symbols_first = symbols_first
-    receiver.channels[int(satellite[1:])] = channel
+    receiver.banks[0].channels[int(satellite[1:])] = channel
 
 
-def _head(receiver: Receiver, prn: int, start_tow_s: int, first: int, confirmed: bool) -> _Head:
-    channel = receiver.channels[prn]
+def _head(receiver: Receiver, prn: int, start_tow_s: int, first: int, confirmed: bool) -> Head:
+    channel = receiver.banks[0].channels[prn]
     frame = lnav.Frame(first, 1, start_tow_s, 1, confirmed, None)
-    return _Head(channel, channel.symbols_first, frame)
+    return Head(channel, channel.symbols_first, frame)
 
 
 def _two_or_more(count: int, near: GpsTime, confirmed: bool = False) -> Receiver:
     receiver = _receiver(Knowledge(near=near))
     for emitter in shared_sky().scenario.emitters[:count]:
         _with_channel(receiver, emitter.satellite)
-        receiver._heads[emitter.prn] = _head(receiver, emitter.prn, 382_260, 10, confirmed)
+        receiver.banks[0].heads[emitter.prn] = _head(receiver, emitter.prn, 382_260, 10, confirmed)
     receiver._take_heads()
     return receiver
 
@@ -127,13 +128,13 @@ def test_heads_are_believed_when_confirmed_or_seen_by_three(
 ) -> None:
     receiver = _two_or_more(count, GpsTime(2290, 300_000.0), confirmed)
     assert (receiver.clock is not None) == believed
-    for channel in receiver.channels.values():
+    for channel in receiver.channels:
         assert (channel.anchor is not None) == believed
         assert channel.half_cycle == (0.5 if believed else None)
     if believed:
         assert receiver.clock is not None
         anchor = (2290 * SECONDS_PER_WEEK + 382_260) * 1000 - 300 - 200
-        assert {channel.anchor for channel in receiver.channels.values()} == {anchor}
+        assert {channel.anchor for channel in receiver.channels} == {anchor}
 
 
 @pytest.mark.parametrize(
@@ -150,9 +151,9 @@ def test_week_of_a_frame_near_the_week_s_end(near: GpsTime, start_tow_s: int, we
     satellite = shared_sky().scenario.emitters[0].satellite
     _with_channel(receiver, satellite)
     prn = int(satellite[1:])
-    receiver._heads[prn] = _head(receiver, prn, start_tow_s, 0, True)
+    receiver.banks[0].heads[prn] = _head(receiver, prn, start_tow_s, 0, True)
     receiver._take_heads()
-    channel = receiver.channels[prn]
+    channel = receiver.banks[0].channels[prn]
     assert channel.anchor == (week * SECONDS_PER_WEEK + start_tow_s) * 1000 - 300
 
 
@@ -161,18 +162,18 @@ def test_a_head_of_an_earlier_lock_is_forgotten() -> None:
     receiver = _receiver(Knowledge(near=GpsTime(2290, 300_000.0)))
     for emitter in shared_sky().scenario.emitters[:3]:
         _with_channel(receiver, emitter.satellite)
-        receiver._heads[emitter.prn] = _head(receiver, emitter.prn, 382_260, 10, False)
-    for channel in receiver.channels.values():
+        receiver.banks[0].heads[emitter.prn] = _head(receiver, emitter.prn, 382_260, 10, False)
+    for channel in receiver.channels:
         channel.symbols_first += 20  # locked again a symbol later
     receiver._take_heads()
     assert receiver.clock is None
-    assert not receiver._heads
+    assert not receiver.banks[0].heads
 
 
 def test_clock_from_heads_is_good_to_the_travel_time() -> None:
     receiver = _two_or_more(3, GpsTime(2290, 300_000.0))
     assert receiver.clock is not None
-    channel = next(iter(receiver.channels.values()))
+    channel = receiver.channels[0]
     assert channel.anchor is not None
     sent_s = (channel.anchor + channel.periods) * 1e-3
     travel_s = receiver.clock.origin_ns / NS + channel.command.sample / RATE_HZ - sent_s
@@ -196,15 +197,15 @@ def test_the_weaker_of_two_that_tell_the_same_orbit_is_dropped(copy_tells_first:
     receiver = _receiver(Knowledge())
     for satellite, cn0_dbhz in ((strong, 50.0), (weak, 29.0)):
         _with_channel(receiver, satellite)
-        receiver.channels[int(satellite[1:])].locks = _strength(cn0_dbhz)
+        receiver.banks[0].channels[int(satellite[1:])].locks = _strength(cn0_dbhz)
     first, second = (weak, strong) if copy_tells_first else (strong, weak)
     told = replace(orbit, satellite=first)
     receiver.nav = NavData(ephemerides={first: (told,)})
-    channel = receiver.channels[int(second[1:])]
-    is_copy = receiver._is_copy(channel, replace(orbit, satellite=second))
+    channel = receiver.banks[0].channels[int(second[1:])]
+    is_copy = receiver._is_copy(receiver.banks[0], channel, replace(orbit, satellite=second))
     assert is_copy == (not copy_tells_first)
-    assert receiver.channels[int(weak[1:])].mode is Mode.LOST
-    assert receiver.channels[int(strong[1:])].mode is Mode.PHASE
+    assert receiver.banks[0].channels[int(weak[1:])].mode is Mode.LOST
+    assert receiver.banks[0].channels[int(strong[1:])].mode is Mode.PHASE
     assert weak not in receiver.nav.ephemerides
     assert [(e.satellite, e.what) for e in receiver._events] == [(weak, "lost")]
     assert f"sends the orbit of {strong}" in receiver._events[0].reason
@@ -215,4 +216,6 @@ def test_a_satellite_s_own_next_set_is_no_copy() -> None:
     orbit = shared_sky().scenario.nav.ephemerides[satellite][0]
     receiver = _receiver(Knowledge(nav=shared_sky().scenario.nav))
     _with_channel(receiver, satellite)
-    assert not receiver._is_copy(receiver.channels[int(satellite[1:])], orbit)
+    assert not receiver._is_copy(
+        receiver.banks[0], receiver.banks[0].channels[int(satellite[1:])], orbit
+    )

@@ -1,0 +1,226 @@
+"""A bank: the channels of one signal on one stream, with their search, messages and memories.
+
+A receiver is several banks that share time, place and navigation data. A bank counts samples of
+its own stream; its clock is the receiver's, seen at that rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from fractions import Fraction
+from typing import NamedTuple
+
+from deepgnss.core.records import (
+    ChannelReport,
+    Correlations,
+    Ephemeris,
+    Event,
+    NavData,
+    Observation,
+)
+from deepgnss.core.time import GpsTime
+from deepgnss.receiver import framing, lnav
+from deepgnss.receiver.accounts import Accounts
+from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings
+from deepgnss.receiver.channel import Channel
+from deepgnss.receiver.clock import NS, ReceiverClock
+from deepgnss.receiver.feed import SumFeed
+from deepgnss.receiver.modes import Mode, TrackingSettings
+from deepgnss.receiver.observables import PhaseMemory, observe
+from deepgnss.receiver.search import Place, Searcher, SearchSettings, Sight
+from deepgnss.receiver.signals import Signal
+from deepgnss.receiver.smoothing import HatchState, smooth
+
+
+class Head(NamedTuple):
+    """A frame head not yet believed."""
+
+    channel: Channel
+    stretch: int  # the channel's `symbols_first` it counts from
+    frame: lnav.Frame
+
+
+class News(NamedTuple):
+    """What a channel's symbols told since the last epoch."""
+
+    channel: Channel
+    subframes: tuple[lnav.Subframe, ...]
+    items: tuple[Ephemeris | lnav.IonoUtc, ...]
+
+
+class Bank:
+    """Channels of one signal on one stream."""
+
+    def __init__(
+        self,
+        signal: Signal,
+        sample_rate_hz: float,
+        tracking: TrackingSettings,
+        acquisition: AcquisitionSettings,
+        searching: SearchSettings,
+        known: Mapping[str, framing.KnownSymbols],
+    ) -> None:
+        """`known`: symbols of satellites that an earlier pass has decoded."""
+        self.signal = signal
+        self.rate_hz = Fraction(sample_rate_hz)
+        self.channels: dict[int, Channel] = {}
+        self.heads: dict[int, Head] = {}
+        self._tracking = tracking
+        self._known = known
+        self._frames: dict[int, framing.FrameState] = {}
+        self._memory: dict[int, PhaseMemory] = {}
+        self._hatch: dict[int, HatchState] = {}
+        self._searcher = Searcher(signal, acquisition, searching, sample_rate_hz)
+
+    def tracked(self) -> list[Channel]:
+        """Channels in the order of PRNs."""
+        return [self.channels[prn] for prn in sorted(self.channels)]
+
+    # --- search ------------------------------------------------------------------------------
+
+    def search(
+        self,
+        feed: SumFeed,
+        window: tuple[int, int],
+        place: Place | None,
+        nav: NavData,
+        clock: ReceiverClock | None,
+        accounts: Accounts,
+        executor: Executor | None,
+    ) -> list[Event]:
+        """Look for satellites that are not tracked, on the samples that begin an epoch."""
+        first, end = window
+        events = []
+        tracked = frozenset(self.channels)
+        for seen, sight in self._searcher.look(feed, first, end, place, nav, tracked, executor):
+            accounts.searched(seen)
+            if seen.found:
+                events.append(self._take(seen, first, sight, clock))
+        return events
+
+    def _take(
+        self, seen: Acquisition, first: int, sight: Sight | None, clock: ReceiverClock | None
+    ) -> Event:
+        """Give a found satellite a channel."""
+        channel = Channel(
+            self.signal,
+            seen.prn,
+            self._tracking,
+            sample_rate_hz=float(self.rate_hz),
+            sample=first,
+            code_chips=seen.code_chips,
+            doppler_hz=seen.doppler_hz,
+        )
+        self.channels[seen.prn] = channel
+        frames = self._frames.get(seen.prn)
+        self._frames[seen.prn] = (
+            framing.start(channel.satellite) if frames is None else framing.resume(frames)
+        )
+        self._memory[seen.prn] = PhaseMemory()
+        if sight is not None and clock is not None:
+            self._anchor_by_prediction(channel, sight, first, clock)
+        detail = (
+            f"peak {seen.peak_ratio:.1f} of {seen.threshold:.1f} needed, "
+            f"{seen.cn0_dbhz:.1f} dB-Hz at {seen.doppler_hz:+.0f} Hz"
+        )
+        return Event(first, seen.satellite, "acquired", detail)
+
+    def _anchor_by_prediction(
+        self, channel: Channel, sight: Sight, first: int, clock: ReceiverClock
+    ) -> None:
+        """Transmit time and symbol edges from the predicted travel time (known to ≪ 0.5 ms)."""
+        command = channel.command
+        wait_ns = float((command.sample - first) / self.rate_hz) * NS
+        sent_ns = clock.origin_ns + round(clock.gpst_ns(first) + sight.transmit_s * NS + wait_ns)
+        channel.anchor = round(sent_ns / (self.signal.period_s * NS))
+        channel.set_edge(-channel.anchor, "predicted travel time")
+
+    def retire(self) -> list[Channel]:
+        """Take lost channels out and return them."""
+        gone = [channel for channel in self.tracked() if channel.mode is Mode.LOST]
+        for prn in [prn for prn, channel in self.channels.items() if channel.mode is Mode.LOST]:
+            del self.channels[prn]
+            self.heads.pop(prn, None)
+            self._memory.pop(prn, None)
+            self._hatch.pop(prn, None)
+            self._searcher.lost(prn)
+        return gone
+
+    # --- messages ----------------------------------------------------------------------------
+
+    def read_messages(self, date: GpsTime | None) -> list[News]:
+        """What the channels in phase lock have decoded; new frame heads join `heads`."""
+        news = []
+        for prn, channel in sorted(self.channels.items()):
+            if channel.mode is not Mode.PHASE or not channel.symbols:
+                continue
+            found = framing.read_symbols(self._frames[prn], channel, date)
+            self._frames[prn] = found.state
+            for frame in found.heads:
+                self.heads[prn] = Head(channel, channel.symbols_first, frame)
+            if found.subframes or found.news:
+                news.append(News(channel, found.subframes, found.news))
+        return news
+
+    def present_heads(self) -> dict[int, Head]:
+        """Frame heads of stretches of symbols that are still going on."""
+        self.heads = {
+            prn: head
+            for prn, head in self.heads.items()
+            if head.channel.symbols_first == head.stretch
+        }
+        return self.heads
+
+    def take_known_polarities(self) -> None:
+        """Settle half cycles by symbols that an earlier pass has decoded."""
+        for channel in self.channels.values():
+            known = self._known.get(channel.satellite)
+            if known is not None and channel.half_cycle is None:
+                half_cycle = framing.polarity(channel, known)
+                if half_cycle is not None:
+                    channel.set_polarity(half_cycle)
+
+    # --- observables ---------------------------------------------------------------------------
+
+    def observe(
+        self, clock: ReceiverClock, tag_ns: int, time: GpsTime, *, output: bool, smoothing: bool
+    ) -> list[Observation]:
+        """Observations at a tag; slips are counted from the last one put out."""
+        clock = clock.at_rate(self.rate_hz)
+        instant = clock.instant(tag_ns)
+        observations = []
+        for prn, channel in sorted(self.channels.items()):
+            if channel.mode is Mode.LOST:  # dropped since it ran
+                continue
+            memory = self._memory[prn]
+            seen = observe(channel, clock, tag_ns, instant, memory)
+            if seen is None:
+                continue
+            self._memory[prn] = (
+                seen.memory if output else memory._replace(ambiguity=seen.memory.ambiguity)
+            )
+            observation = seen.observation
+            if smoothing:
+                state = self._hatch.get(prn, HatchState())
+                self._hatch[prn], observation = smooth(state, observation, time, channel.slips)
+            observations.append(observation)
+        return observations
+
+    # --- accounts ------------------------------------------------------------------------------
+
+    def events(self) -> list[Event]:
+        """What the channels noted in the epoch just run."""
+        return [event for channel in self.tracked() for event in channel.events]
+
+    def reports(self, accounts: Accounts) -> list[ChannelReport]:
+        """State of every channel."""
+        return [channel.report(accounts.stage(channel.satellite)) for channel in self.tracked()]
+
+    def correlations(self) -> dict[str, tuple[Correlations, ...]]:
+        """Recorded correlations by satellite."""
+        return {
+            channel.satellite: tuple(channel.recorded)
+            for channel in self.tracked()
+            if channel.recorded
+        }
