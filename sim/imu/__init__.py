@@ -1,0 +1,1 @@
+"""Inertial sensors as simulated: exact increments, vibration, wheel speed."""
