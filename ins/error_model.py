@@ -6,7 +6,8 @@ of the *estimated* bias and scale, a sensor reading (1 + scale)·true + bias: wh
 is taken off too much, hence minus where T has plus for the sensor's own error.
 
 Where T as scanned differs from the derivative of the mechanization, the derivative counts: T(4.9)
-has R_N for R_M below v_N², T(2.58) has −1 for ∂ḣ/∂h, which is 0.
+has R_N for R_M below v_N², T(2.58) has −1 for ∂ḣ/∂h, which is 0. As there, the growth of gravity
+towards the poles (8e-9 m/s² per metre) is left out.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepgnss.core.attitude import Vector, matrix, rotated
+from deepgnss.core.attitude import Vector, cross, matrix, rotated
 from deepgnss.core.earth import (
     earth_rate_n,
     gravity_mps2,
@@ -83,35 +84,47 @@ def process_noise(grade: ImuGrade) -> ProcessNoise:
     )
 
 
-def bias_sigmas(grade: ImuGrade) -> tuple[float, float]:
-    """1σ of gyro (rad/s) and accelerometer (m/s²) bias at any time: constant and drift together."""
+def bias_sigmas(grade: ImuGrade, running_s: float = 0.0) -> tuple[float, float]:
+    """1σ of gyro (rad/s) and accelerometer (m/s²) bias, constant and drift, a while after turn-on.
+
+    T counts the drift's start into the constant; a unit that has run for long has running_s inf.
+    """
     return (
-        math.hypot(
+        _bias_sigma(
             grade.gyro_bias_radps,
-            grade.gyro_drift_radps2_rthz * math.sqrt(grade.gyro_drift_time_s / 2.0),
+            grade.gyro_drift_radps2_rthz,
+            grade.gyro_drift_time_s,
+            running_s,
         ),
-        math.hypot(
+        _bias_sigma(
             grade.accel_bias_mps2,
-            grade.accel_drift_mps3_rthz * math.sqrt(grade.accel_drift_time_s / 2.0),
+            grade.accel_drift_mps3_rthz,
+            grade.accel_drift_time_s,
+            running_s,
         ),
     )
 
 
+class InitialSigmas(NamedTuple):
+    """What is known of the navigation at its start: 1σ per axis."""
+
+    position_m: float
+    velocity_mps: float
+    tilt_rad: float
+    heading_rad: float
+
+
 def initial_covariance(
-    grade: ImuGrade,
-    position_m: float,
-    velocity_mps: float,
-    tilt_rad: float,
-    heading_rad: float,
-    states: int = WITH_BIASES,
+    grade: ImuGrade, sigmas: InitialSigmas, states: int = WITH_BIASES, running_s: float = 0.0
 ) -> FloatArray:
-    """Diagonal covariance (states, states) from 1σ per axis; the sensors' from the grade."""
-    _check_size(states)
-    gyro_bias, accel_bias = bias_sigmas(grade)
+    """Diagonal covariance (states, states) of a start; that of the sensors from their grade."""
+    if states not in (WITH_BIASES, WITH_SCALES):
+        raise ConfigError(f"inertial error states: {states}; {WITH_BIASES} or {WITH_SCALES} fit")
+    gyro_bias, accel_bias = bias_sigmas(grade, running_s)
     sigma = np.empty(WITH_SCALES)
-    sigma[POSITION] = position_m
-    sigma[VELOCITY] = velocity_mps
-    sigma[ATTITUDE] = tilt_rad, tilt_rad, heading_rad
+    sigma[POSITION] = sigmas.position_m
+    sigma[VELOCITY] = sigmas.velocity_mps
+    sigma[ATTITUDE] = sigmas.tilt_rad, sigmas.tilt_rad, sigmas.heading_rad
     sigma[GYRO_BIAS], sigma[ACCEL_BIAS] = gyro_bias, accel_bias
     sigma[GYRO_SCALE], sigma[ACCEL_SCALE] = grade.gyro_scale, grade.accel_scale
     return np.diag(sigma[:states] ** 2)
@@ -123,8 +136,7 @@ def system_matrix(
     height_m: float,
     v_n_mps: Vector,
     C_nb: FloatArray,
-    f_n_mps2: Vector,
-    f_b_mps2: FloatArray,
+    f_n_mps2: FloatArray,
     omega_ib_b_radps: FloatArray,
     noise: ProcessNoise,
     states: int,
@@ -170,7 +182,7 @@ def system_matrix(
     F[3:6, 0:3] = v_cross @ (2.0 * ie_by_r + en_by_r)
     F[5, 2] += 2.0 * gravity_mps2(lat_rad, height_m) / (math.sqrt(meridian_m * transverse_m))
     F[3:6, 3:6] = v_cross @ en_by_v - _skew(coriolis)
-    F[3:6, 6:9] = _skew(f_n_mps2)
+    F[3:6, 6:9] = _skew((f_n_mps2[0], f_n_mps2[1], f_n_mps2[2]))
     F[3:6, 12:15] = -C_nb
 
     F[6:9, 0:3] = ie_by_r + en_by_r
@@ -183,7 +195,7 @@ def system_matrix(
         F[12 + axis, 12 + axis] = -1.0 / noise.accel_time_s
     if states == 21:
         F[6:9, 15:18] = C_nb * omega_ib_b_radps
-        F[3:6, 18:21] = -C_nb * f_b_mps2
+        F[3:6, 18:21] = -C_nb * (f_n_mps2 @ C_nb)
     return F
 
 
@@ -216,7 +228,7 @@ def discretize(F: FloatArray, density: FloatArray, dt_s: float) -> tuple[FloatAr
     Q += (whole * density) @ whole.T * (dt_s / 6.0)
     for k in range(states):
         Q[k, k] += density[k] * dt_s / 6.0
-    return whole, Q
+    return whole, 0.5 * (Q + Q.T)
 
 
 @kernel
@@ -240,37 +252,35 @@ def transition(
 ) -> tuple[FloatArray, FloatArray]:
     """Φ and Q (states, states) over consecutive increments, in sub-intervals of SUB_INTERVAL_S.
 
-    Row k of the arrays (n,), (n, 3), (n, 4): navigation state at the end of increment k, length of
-    the increment and its values, sensor errors taken off. No increment: the identity and zero.
+    Row k of the arrays (n,), (n, 3), (n, 4): pose at the end of increment k, the increment's
+    length and its values freed of sensor errors. No increment: the identity and zero.
     """
     Phi, Q = np.eye(states), np.zeros((states, states))
     density = noise_density(noise, states)
-    count = dt_s.size
     first = 0
-    while first < count:
+    while first < dt_s.size:
         last, length_s = first, dt_s[first]
-        while last + 1 < count and length_s + dt_s[last + 1] <= SUB_INTERVAL_S * 1.001:
+        while last + 1 < dt_s.size and length_s + dt_s[last + 1] <= SUB_INTERVAL_S * 1.001:
             last += 1
             length_s += dt_s[last]
-        f_n, f_b, omega_b = np.zeros(3), np.zeros(3), np.zeros(3)
+        f_n, omega_b = np.zeros(3), np.zeros(3)
         for k in range(first, last + 1):
+            theta = (dtheta_b_rad[k, 0], dtheta_b_rad[k, 1], dtheta_b_rad[k, 2])
+            dv = (dv_b_mps[k, 0], dv_b_mps[k, 1], dv_b_mps[k, 2])
+            turn = cross(theta, dv)  # half of it lies after the middle of the increment
             q = (q_nb[k, 0], q_nb[k, 1], q_nb[k, 2], q_nb[k, 3])
-            dv_n = rotated(q, (dv_b_mps[k, 0], dv_b_mps[k, 1], dv_b_mps[k, 2]))
+            dv_n = rotated(q, (dv[0] - 0.5 * turn[0], dv[1] - 0.5 * turn[1], dv[2] - 0.5 * turn[2]))
             for axis in range(3):
                 f_n[axis] += dv_n[axis] / length_s
-                f_b[axis] += dv_b_mps[k, axis] / length_s
-                omega_b[axis] += dtheta_b_rad[k, axis] / length_s
+                omega_b[axis] += theta[axis] / length_s
         middle = (first + last) // 2
-        C_nb = np.array(
-            matrix((q_nb[middle, 0], q_nb[middle, 1], q_nb[middle, 2], q_nb[middle, 3]))
-        )
+        v_n, q_middle = v_n_mps[middle], q_nb[middle]
         F = system_matrix(
             lat_rad[middle],
             height_m[middle],
-            (v_n_mps[middle, 0], v_n_mps[middle, 1], v_n_mps[middle, 2]),
-            C_nb,
-            (f_n[0], f_n[1], f_n[2]),
-            f_b,
+            (v_n[0], v_n[1], v_n[2]),
+            np.array(matrix((q_middle[0], q_middle[1], q_middle[2], q_middle[3]))),
+            f_n,
             omega_b,
             noise,
             states,
@@ -296,6 +306,6 @@ def _correlation_s(bias: float, drift_density: float, drift_time_s: float) -> fl
     return drift_time_s + 2.0 * bias**2 / drift_density**2
 
 
-def _check_size(states: int) -> None:
-    if states not in (WITH_BIASES, WITH_SCALES):
-        raise ConfigError(f"inertial error states: {states}; {WITH_BIASES} or {WITH_SCALES} fit")
+def _bias_sigma(bias: float, density: float, time_s: float, running_s: float) -> float:
+    drift2 = -0.5 * density**2 * time_s * math.expm1(-2.0 * running_s / time_s)
+    return math.sqrt(bias**2 + drift2)
