@@ -90,11 +90,29 @@ def write_samples(recording: Recording, path: Path) -> None:
             np.clip(samples, -127, 127).astype(np.int8).tofile(file)
 
 
-def configuration(samples: Path, config: Config, tracking: Mapping[str, str], channels: int) -> str:
-    """A configuration file: GPS L1 C/A, models and elevation mask as in a configuration of ours."""
+class Names(NamedTuple):
+    """What its configuration calls a signal."""
+
+    short: str
+    long: str
+
+
+GPS_L1CA = Names("1C", "GPS_L1_CA")
+BDS_B1I = Names("B1", "BEIDOU_B1I")
+
+
+def configuration(
+    samples: Path,
+    config: Config,
+    tracking: Mapping[str, str],
+    channels: int,
+    signal: Names = GPS_L1CA,
+) -> str:
+    """A configuration file for one signal, models and elevation mask as in a config of ours."""
     rate_hz = round(config.recording.streams[0].sample_rate)
     interval_ms = round(config.output.interval * 1e3)
     positioning = config.positioning
+    kind = signal.short
     values = {
         "GNSS-SDR.internal_fs_sps": rate_hz,
         "SignalSource.implementation": "File_Signal_Source",
@@ -108,18 +126,19 @@ def configuration(samples: Path, config: Config, tracking: Mapping[str, str], ch
         "InputFilter.item_type": "gr_complex",
         "Resampler.implementation": "Pass_Through",
         "Resampler.item_type": "gr_complex",
-        "Channels_1C.count": channels,
+        f"Channels_{kind}.count": channels,
         "Channels.in_acquisition": 1,
-        "Acquisition_1C.implementation": "GPS_L1_CA_PCPS_Acquisition",
-        "Acquisition_1C.item_type": "gr_complex",
-        "Acquisition_1C.pfa": 0.01,
-        "Acquisition_1C.doppler_max": round(config.acquisition.doppler_max),
-        "Acquisition_1C.doppler_step": 250,
-        "Acquisition_1C.max_dwells": 4,  # its default, 1, finds half as many satellites here
-        "Tracking_1C.implementation": "GPS_L1_CA_DLL_PLL_Tracking",
-        "Tracking_1C.item_type": "gr_complex",
-        **{f"Tracking_1C.{key}": value for key, value in tracking.items()},
-        "TelemetryDecoder_1C.implementation": "GPS_L1_CA_Telemetry_Decoder",
+        f"Acquisition_{kind}.implementation": f"{signal.long}_PCPS_Acquisition",
+        f"Acquisition_{kind}.item_type": "gr_complex",
+        f"Acquisition_{kind}.pfa": 0.01,
+        f"Acquisition_{kind}.doppler_max": round(config.acquisition.doppler_max),
+        f"Acquisition_{kind}.doppler_step": 250,
+        # its default, 1, finds half as many satellites here
+        f"Acquisition_{kind}.max_dwells": 4,
+        f"Tracking_{kind}.implementation": f"{signal.long}_DLL_PLL_Tracking",
+        f"Tracking_{kind}.item_type": "gr_complex",
+        **{f"Tracking_{kind}.{key}": value for key, value in tracking.items()},
+        f"TelemetryDecoder_{kind}.implementation": f"{signal.long}_Telemetry_Decoder",
         "Observables.implementation": "Hybrid_Observables",
         "PVT.implementation": "RTKLIB_PVT",
         "PVT.positioning_mode": "Single",
