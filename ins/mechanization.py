@@ -51,7 +51,7 @@ class Increment(NamedTuple):
     dv_b_mps: Vector
 
 
-class SensorErrors(NamedTuple):
+class Calibration(NamedTuple):
     """What the sensors read too much: reading = (1 + scale)·true + bias."""
 
     gyro_bias_radps: Vector
@@ -83,9 +83,9 @@ def pose_of(state: InsState) -> Pose:
     )
 
 
-def sensor_errors_of(state: InsState) -> SensorErrors:
+def calibration_of(state: InsState) -> Calibration:
     """Sensor errors of a navigation state."""
-    return SensorErrors(
+    return Calibration(
         _triple(state.gyro_bias_radps),
         _triple(state.accel_bias_mps2),
         _triple(state.gyro_scale),
@@ -123,13 +123,13 @@ def _freed(reading: Vector, bias: Vector, scale: Vector, dt_s: float) -> Vector:
 
 
 @kernel
-def without_errors(reading: Increment, errors: SensorErrors) -> Increment:
+def without_errors(reading: Increment, calibration: Calibration) -> Increment:
     """Increment freed of bias and scale."""
     dt_s = reading.dt_s
     return Increment(
         dt_s,
-        _freed(reading.dtheta_b_rad, errors.gyro_bias_radps, errors.gyro_scale, dt_s),
-        _freed(reading.dv_b_mps, errors.accel_bias_mps2, errors.accel_scale, dt_s),
+        _freed(reading.dtheta_b_rad, calibration.gyro_bias_radps, calibration.gyro_scale, dt_s),
+        _freed(reading.dv_b_mps, calibration.accel_bias_mps2, calibration.accel_scale, dt_s),
     )
 
 
@@ -214,14 +214,14 @@ def step(pose: Pose, before: Increment, now: Increment) -> Pose:
 def mechanize(
     pose: Pose,
     before: Increment,
-    errors: SensorErrors,
+    calibration: Calibration,
     dt_s: FloatArray,
     dtheta_b_rad: FloatArray,
     dv_b_mps: FloatArray,
 ) -> tuple[Poses, Pose, Increment]:
     """Steps through consecutive intervals.
 
-    Parameters: pose at the start; the interval before (freed of sensor errors); sensor errors;
+    Parameters: pose at the start; the interval before (freed of sensor errors); calibration;
     readings: lengths (n,), integrals (n, 3) of rate and specific force.
     Returns: poses at the end of every interval, the last of them, and the last increment freed of
     sensor errors. Longitude is not wrapped.
@@ -239,7 +239,7 @@ def mechanize(
     for k in range(count):
         theta, dv = dtheta_b_rad[k], dv_b_mps[k]
         reading = Increment(dt_s[k], (theta[0], theta[1], theta[2]), (dv[0], dv[1], dv[2]))
-        now = without_errors(reading, errors)
+        now = without_errors(reading, calibration)
         pose = step(pose, before, now)
         before = now
         poses.lat_rad[k] = pose.lat_rad

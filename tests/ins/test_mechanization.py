@@ -14,15 +14,15 @@ from deepgnss.core import attitude, earth
 from deepgnss.core.records import FloatArray, ImuBlock, InsState
 from deepgnss.ins.mechanization import (
     NOTHING_BEFORE,
+    Calibration,
     Increment,
     Pose,
     Poses,
-    SensorErrors,
     body_rotation,
     body_velocity,
+    calibration_of,
     mechanize,
     pose_of,
-    sensor_errors_of,
     step,
     without_errors,
 )
@@ -34,7 +34,7 @@ def _run(state: InsState, block: ImuBlock) -> Poses:
     return mechanize(
         pose_of(state),
         NOTHING_BEFORE,
-        sensor_errors_of(state),
+        calibration_of(state),
         block.dt_s,
         block.dtheta_b_rad,
         block.dv_b_mps,
@@ -175,8 +175,8 @@ def test_unequal_intervals_are_exact_for_linear_rate_and_force() -> None:
 
 def test_rest_stays_at_rest_for_an_hour() -> None:
     motion = ExactMotion(line(0.6), line(-1.2), line(300.0), line(0.05), line(-0.08), line(2.5))
-    one = motion.increments(np.array([0.0, 0.05]))
-    hour = ImuBlock(one.origin, *(np.repeat(part, 72_000, axis=0) for part in astuple(one)[1:]))
+    one = motion.increments(np.array([0.0, 0.02]))
+    hour = ImuBlock(one.origin, *(np.repeat(part, 180_000, axis=0) for part in astuple(one)[1:]))
     start, poses = motion.state(), _run(motion.state(), hour)
     assert abs(poses.lat_rad[-1] - start.lat_rad) * earth.SEMI_MAJOR_M < 1e-3
     assert abs(poses.lon_rad[-1] - start.lon_rad) * earth.SEMI_MAJOR_M < 1e-3
@@ -333,7 +333,7 @@ def test_kernel_is_its_twin() -> None:
 
 def test_errors_are_subtracted_as_the_model_says() -> None:
     """Reading = (1 + scale)·true + bias."""
-    errors = SensorErrors((0.1, 0.2, 0.3), (1.0, 2.0, 3.0), (0.01, 0.02, 0.03), (0.1, 0.2, 0.3))
+    errors = Calibration((0.1, 0.2, 0.3), (1.0, 2.0, 3.0), (0.01, 0.02, 0.03), (0.1, 0.2, 0.3))
     freed = without_errors(Increment(0.5, (1.06, 0.1, 0.15), (1.6, 1.0, 1.5)), errors)
     np.testing.assert_allclose(freed.dtheta_b_rad, (1.0, 0.0, 0.0), atol=1e-15)
     np.testing.assert_allclose(freed.dv_b_mps, (1.0, 0.0, 0.0), atol=1e-15)
