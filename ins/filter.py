@@ -35,13 +35,14 @@ def correct(
     """
     innovation = z - H @ x
     PHt = P @ H.T
+    S = H @ PHt + R
+    if not (np.all(np.isfinite(innovation)) and np.all(np.isfinite(S))):
+        raise NumericalError("innovation or its covariance is not finite")
     try:
-        factor = cho_factor(H @ PHt + R, lower=True)
-    except (LinAlgError, ValueError) as error:
+        factor = cho_factor(S, lower=True)
+    except LinAlgError as error:
         raise NumericalError(f"innovation covariance is not positive: {error}") from error
     nis = float(innovation @ cho_solve(factor, innovation))
-    if not np.isfinite(nis):
-        raise NumericalError("innovation is not finite")
     K = cho_solve(factor, PHt.T).T
     remaining = np.eye(x.size) - K @ H
     after = remaining @ P @ remaining.T + K @ R @ K.T
