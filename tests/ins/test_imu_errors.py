@@ -34,7 +34,7 @@ def cut(block, sizes):
         )))  # fmt: skip
 
 
-# --- Allan deviation -------------------------------------------------------------------------------
+# --- Allan deviation -----------------------------------------------------------------------------
 
 
 def allan_variance(increments, dt, m):
@@ -52,9 +52,10 @@ def expected_variance(noise_rts, drift_rthz, time_s, tau, clusters):
     product: the cluster means of e^(−t/T), differenced, squared.
     """
     x = tau / time_s
-    steady = drift_rthz**2 * time_s**2 / tau * (
-        1.0 - (3.0 - 4.0 * np.exp(-x) + np.exp(-2.0 * x)) / (2.0 * x)
-    )  # fmt: skip
+    bracket = 1.0 - (3.0 - 4.0 * np.exp(-x) + np.exp(-2.0 * x)) / (2.0 * x)
+    if x < 1e-3:  # where that loses its digits
+        bracket = x**2 / 3.0 - x**3 / 4.0
+    steady = drift_rthz**2 * time_s**2 / tau * bracket
     means = np.exp(-np.arange(clusters) * x) * -np.expm1(-x) / x
     start = 0.5 * drift_rthz**2 * time_s * 0.5 * np.mean(np.diff(means) ** 2)
     return noise_rts**2 / tau + steady - start
@@ -62,7 +63,7 @@ def expected_variance(noise_rts, drift_rthz, time_s, tau, clusters):
 
 @pytest.mark.parametrize("name", imu_grade_names())
 def test_allan_deviation_of_an_hour_is_that_of_the_grade(name):
-    grade, rate_hz, seconds, seeds = imu_grade(name), 20.0, 3600.0, 40
+    grade, rate_hz, seconds, seeds = imu_grade(name), 10.0, 3600.0, 30
     rest = at_rest(seconds, rate_hz)
     runs = [ImuErrors(grade, np.random.default_rng(seed)).apply(rest)[0] for seed in range(seeds)]
     sensors = (
@@ -72,7 +73,7 @@ def test_allan_deviation_of_an_hour_is_that_of_the_grade(name):
          grade.accel_drift_time_s),
     )  # fmt: skip
     for field, noise, drift, time_s in sensors:
-        for tau in (0.1, 1.0, 10.0, 100.0, 600.0, 1200.0):
+        for tau in (0.2, 1.0, 10.0, 100.0, 600.0, 1200.0):
             m = round(tau * rate_hz)
             found = [allan_variance(getattr(run, field), 1.0 / rate_hz, m) for run in runs]
             clusters = len(rest.dt_s) // m
@@ -94,7 +95,7 @@ def test_angle_random_walk_grows_with_the_root_of_time():
     assert np.std(angles) == pytest.approx(expected, rel=0.1)
 
 
-# --- what is put on and what is told ---------------------------------------------------------------
+# --- what is put on and what is told -------------------------------------------------------------
 
 
 def test_an_ideal_unit_changes_nothing():
