@@ -14,18 +14,18 @@ from typing import NamedTuple
 from deepgnss.core.records import (
     ChannelReport,
     Correlations,
-    Ephemeris,
     Event,
     NavData,
     Observation,
 )
 from deepgnss.core.time import GpsTime
-from deepgnss.receiver import framing, lnav
+from deepgnss.receiver import framing, messages
 from deepgnss.receiver.accounts import Accounts
 from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock
 from deepgnss.receiver.feed import SumFeed
+from deepgnss.receiver.messages import Frame, Subframe
 from deepgnss.receiver.modes import Mode, TrackingSettings
 from deepgnss.receiver.observables import PhaseMemory, observe
 from deepgnss.receiver.search import Place, Searcher, SearchSettings, Sight
@@ -38,15 +38,15 @@ class Head(NamedTuple):
 
     channel: Channel
     stretch: int  # the channel's `symbols_first` it counts from
-    frame: lnav.Frame
+    frame: Frame
 
 
 class News(NamedTuple):
     """What a channel's symbols told since the last epoch."""
 
     channel: Channel
-    subframes: tuple[lnav.Subframe, ...]
-    items: tuple[Ephemeris | lnav.IonoUtc, ...]
+    subframes: tuple[Subframe, ...]
+    items: tuple[messages.News, ...]
 
 
 class Bank:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from deepgnss.core.constants import SECONDS_PER_WEEK
 from deepgnss.core.records import Ephemeris, NavData
 from deepgnss.core.time import GpsTime
-from deepgnss.receiver import lnav
 from deepgnss.receiver.channel import Channel
+from deepgnss.receiver.messages import Frame, News, Subframe
 from deepgnss.receiver.orbits import with_ephemeris
 
 _SCAN_EVERY = 10  # symbols between searches for a frame
@@ -23,7 +23,8 @@ _POLARITY_SHARE = 0.95  # that must agree (or all disagree)
 class FrameState:
     """Where the frames of one channel stand."""
 
-    messages: lnav.LnavState
+    satellite: str
+    messages: Any = None  # what the signal's message format has collected, None: nothing yet
     stretch: int = -1  # symbols_first of the stretch of symbols this belongs to
     scanned: int = 0  # symbols searched so far
     next_frame: int | None = None  # index of the first symbol of the next subframe
@@ -35,48 +36,49 @@ class Found:
     """What an epoch's symbols told."""
 
     state: FrameState
-    heads: tuple[lnav.Frame, ...] = ()
-    news: tuple[Ephemeris | lnav.IonoUtc, ...] = ()
-    subframes: tuple[lnav.Subframe, ...] = field(default_factory=tuple)
+    heads: tuple[Frame, ...] = ()
+    news: tuple[News, ...] = ()
+    subframes: tuple[Subframe, ...] = field(default_factory=tuple)
 
 
 def start(satellite: str) -> FrameState:
     """State of a channel without frames."""
-    return FrameState(lnav.start(satellite))
+    return FrameState(satellite)
 
 
 def resume(state: FrameState) -> FrameState:
     """State for a satellite's next channel: its pages so far, but symbols counted anew."""
-    return FrameState(state.messages)
+    return FrameState(state.satellite, state.messages)
 
 
 def read_symbols(state: FrameState, channel: Channel, near: GpsTime | None) -> Found:
     """Look at what the channel has decided since the last call."""
     if state.stretch != channel.symbols_first:
         state = replace(state, stretch=channel.symbols_first, scanned=0, next_frame=None, heads=0)
-    count = len(channel.symbols)
-    due = state.next_frame + lnav.SUBFRAME_BITS if state.next_frame is not None else None
+    count, message = len(channel.symbols), channel.signal.message
+    due = state.next_frame + message.subframe_symbols if state.next_frame is not None else None
     if due is None:
-        if count - state.scanned < 2 * lnav.WORD_BITS + _SCAN_EVERY:
+        if count - state.scanned < message.head_symbols + _SCAN_EVERY:
             return Found(state)
     elif count < due:
         return Found(state)
     bits = np.frombuffer(bytes(channel.symbols), dtype=np.int8)
     first = state.scanned if state.next_frame is None else state.next_frame
-    frames = lnav.find_frames(bits, first)
-    messages, news, subframes = state.messages, [], []
+    frames = message.find_frames(bits, first)
+    messages = state.messages or message.start(state.satellite)
+    news: list[News] = []
+    subframes = []
     next_frame = None
     for frame in frames:
         if frame.subframe is not None:
             subframes.append(frame.subframe)
-            messages, new = lnav.collect(messages, frame.subframe, near)
-            if new is not None:
-                news.append(new)
-            next_frame = frame.first + lnav.SUBFRAME_BITS
-        elif bits.size < frame.first + lnav.SUBFRAME_BITS:
+            messages, new = message.collect(messages, frame.subframe, near)
+            news.extend(new)
+            next_frame = frame.first + message.subframe_symbols
+        elif bits.size < frame.first + message.subframe_symbols:
             next_frame = frame.first
             break
-    scanned = max(state.scanned, count - 2 * lnav.WORD_BITS - _SCAN_EVERY + 1)
+    scanned = max(state.scanned, count - message.head_symbols - _SCAN_EVERY + 1)
     state = replace(
         state,
         messages=messages,
@@ -120,18 +122,23 @@ def polarity(channel: Channel, known: KnownSymbols) -> float | None:
     return 0.5 if share < 1.0 - _POLARITY_SHARE else None
 
 
-def anchor_of(channel: Channel, frame: lnav.Frame, week: int) -> int:
+def anchor_of(channel: Channel, frame: Frame, week: int) -> int:
     """Code periods since the GPS epoch at the channel's period 0, from a frame's start time."""
     periods_per_second = round(1.0 / channel.signal.period_s)
-    sent = (week * SECONDS_PER_WEEK + frame.start_tow_s) * periods_per_second
+    sent = week * SECONDS_PER_WEEK * periods_per_second + round(
+        frame.start_tow_s * periods_per_second
+    )
     return sent - (channel.symbols_first + frame.first * channel.signal.symbol_periods)
 
 
-def take_news(nav: NavData, news: tuple[Ephemeris | lnav.IonoUtc, ...]) -> NavData:
+def take_news(nav: NavData, news: tuple[News, ...]) -> NavData:
     """Navigation data with what was just decoded."""
     for item in news:
         if isinstance(item, Ephemeris):
             nav = with_ephemeris(nav, item)
-        else:
-            nav = replace(nav, klobuchar={**nav.klobuchar, "G": item.klobuchar}, utc=item.utc)
+            continue
+        if item.klobuchar is not None:
+            nav = replace(nav, klobuchar={**nav.klobuchar, item.system: item.klobuchar})
+        if item.utc is not None:
+            nav = replace(nav, utc=item.utc)
     return nav

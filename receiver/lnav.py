@@ -17,8 +17,9 @@ from deepgnss.core.constants import GPS_PI, SECONDS_PER_WEEK
 from deepgnss.core.errors import NumericalError
 from deepgnss.core.records import Ephemeris, Klobuchar, UtcParameters
 from deepgnss.core.time import GpsTime, resolve_week
-
-Bits = NDArray[np.int8]
+from deepgnss.receiver.messages import Bits, MessageFormat, News, nearest
+from deepgnss.receiver.messages import Frame as Frame
+from deepgnss.receiver.messages import IonoUtc as IonoUtc
 
 WORD_BITS: Final = 30
 SUBFRAME_BITS: Final = 300
@@ -109,7 +110,7 @@ PAGES: Final[Mapping[int, tuple[Field, ...]]] = {
 }
 
 # URA in metres by index (20.3.3.3.1.3); index 15 means "no prediction".
-_URA_M: Final = (2.0, 2.8, 4.0, 5.7, 8.0, 11.3, 16.0) + tuple(2.0 ** (n - 2) for n in range(7, 16))
+URA_M: Final = (2.0, 2.8, 4.0, 5.7, 8.0, 11.3, 16.0) + tuple(2.0 ** (n - 2) for n in range(7, 16))
 
 # Fit interval in hours by IODC when the fit flag is set (table 20-XII); 6 h for all others.
 _FIT_HOURS: Final = (
@@ -239,17 +240,6 @@ class Subframe:
     words: tuple[int, ...]  # ten data words of 24 bits, upright
 
 
-class Frame(NamedTuple):
-    """A place in a bit stream where telemetry and hand-over word stand."""
-
-    first: int  # index of the first bit
-    polarity: int  # 1: all bits are inverted
-    start_tow_s: int  # satellite time at which the first bit left
-    subframe_id: int
-    confirmed: bool  # by all ten parities, or by the hand-over word of the next subframe
-    subframe: Subframe | None  # None: not all of its bits are there, or a parity failed
-
-
 def _handover(word: int) -> tuple[int, int] | None:
     """Start time and number of a subframe from its HOW, None where neither can be (20.3.3.2)."""
     count, subframe_id = word >> 7, word >> 2 & 7
@@ -329,13 +319,6 @@ def _head_at(bits: Bits, first: int) -> tuple[int, int, int] | None:
 # --- from subframes to records -------------------------------------------------------------------
 
 
-class IonoUtc(NamedTuple):
-    """What page 18 of subframe 4 says."""
-
-    klobuchar: Klobuchar
-    utc: UtcParameters
-
-
 @dataclass(frozen=True, slots=True)
 class LnavState:
     """What was gathered from one satellite: the latest of each page, and what they gave."""
@@ -352,7 +335,7 @@ def start(satellite: str) -> LnavState:
 
 def collect(
     state: LnavState, subframe: Subframe, near: GpsTime | None = None
-) -> tuple[LnavState, Ephemeris | IonoUtc | None]:
+) -> tuple[LnavState, tuple[News, ...]]:
     """Take in a subframe; hand out what it completes, if that is new.
 
     Subframes 1–3 give an ephemeris when the issues agree (IODE of 2 and 3, low byte of IODC,
@@ -362,18 +345,18 @@ def collect(
     """
     page = _page(subframe)
     if page is None:
-        return state, None
+        return state, ()
     state = replace(state, pages={**state.pages, page: subframe})
     if page == IONO_UTC_PAGE:
         known = state.ephemeris.transmitted if state.ephemeris else near
-        return state, _iono_utc(subframe, known)
+        return state, (_iono_utc(subframe, known),)
     ephemeris = _ephemeris(state, near)
     previous = state.ephemeris
     if ephemeris is None or (
         previous is not None and ephemeris == replace(previous, transmitted=ephemeris.transmitted)
     ):
-        return state, None
-    return replace(state, ephemeris=ephemeris), ephemeris
+        return state, ()
+    return replace(state, ephemeris=ephemeris), (ephemeris,)
 
 
 def _page(subframe: Subframe) -> int | None:
@@ -401,9 +384,9 @@ def _ephemeris(state: LnavState, near: GpsTime | None) -> Ephemeris | None:
     return Ephemeris(
         satellite=state.satellite,
         transmitted=transmitted,
-        toe=_nearest(values["toe_s"], transmitted),
-        toc=_nearest(values["toc_s"], transmitted),
-        accuracy_m=_URA_M[int(values["ura_index"])],
+        toe=nearest(values["toe_s"], transmitted),
+        toc=nearest(values["toc_s"], transmitted),
+        accuracy_m=URA_M[int(values["ura_index"])],
         fit_hours=_fit_hours(bool(values["fit_flag"]), integers["iodc"]),
         **(named | integers),  # type: ignore[arg-type]  # the table names the rest
     )
@@ -430,12 +413,6 @@ def _iono_utc(subframe: Subframe, near: GpsTime | None) -> IonoUtc:
 
 def _full_week(week_mod_256: int, near_week: int) -> int:
     return near_week + (week_mod_256 - near_week + 128) % 256 - 128
-
-
-def _nearest(tow_s: float, reference: GpsTime) -> GpsTime:
-    """The instant with this second of week that lies nearest to `reference`."""
-    half = SECONDS_PER_WEEK / 2
-    return reference.plus((tow_s - reference.tow_s + half) % SECONDS_PER_WEEK - half)
 
 
 def _fit_hours(flag: bool, iodc: int) -> float:
@@ -467,8 +444,13 @@ def encode_subframe(
         page = int(start.tow_s) // 30 % 25 + 1
     if subframe_id <= 3:
         words = _pack(subframe_id, _values(ephemeris, start))
-    elif subframe_id == 4 and page == IONO_UTC_PAGE and iono_utc is not None:
-        words = _pack(IONO_UTC_PAGE, _iono_utc_values(iono_utc))
+    elif (
+        (subframe_id, page) == (4, IONO_UTC_PAGE)
+        and iono_utc is not None
+        and iono_utc.klobuchar is not None
+        and iono_utc.utc is not None
+    ):
+        words = _pack(IONO_UTC_PAGE, _iono_utc_values(iono_utc.klobuchar, iono_utc.utc))
     else:
         words = [0, 0, 0x40AAAA] + [0xAAAAAA] * 7
     count = (int(start.tow_s) // SUBFRAME_S + 1) % _TOW_COUNTS
@@ -482,20 +464,19 @@ def _values(ephemeris: Ephemeris, start: GpsTime) -> dict[str, float]:
     return named | {
         "week": start.week % 1024,
         "l2_code": 1,
-        "ura_index": next(n for n, m in enumerate(_URA_M) if m >= min(ephemeris.accuracy_m, 8192)),
+        "ura_index": next(n for n, m in enumerate(URA_M) if m >= min(ephemeris.accuracy_m, 8192)),
         "toc_s": ephemeris.toc.tow_s,
         "toe_s": ephemeris.toe.tow_s,
         "fit_flag": ephemeris.fit_hours > 4.0,
     }
 
 
-def _iono_utc_values(message: IonoUtc) -> dict[str, float]:
-    utc = message.utc
+def _iono_utc_values(klobuchar: Klobuchar, utc: UtcParameters) -> dict[str, float]:
     return {
         "data_id": 1,
         "sv_id": _IONO_UTC_SV_ID,
-        **{f"alpha{n}": value for n, value in enumerate(message.klobuchar.alpha)},
-        **{f"beta{n}": value for n, value in enumerate(message.klobuchar.beta)},
+        **{f"alpha{n}": value for n, value in enumerate(klobuchar.alpha)},
+        **{f"beta{n}": value for n, value in enumerate(klobuchar.beta)},
         "a0_s": utc.a0_s,
         "a1_sps": utc.a1_sps,
         "tot_s": utc.reference.tow_s,
@@ -505,3 +486,14 @@ def _iono_utc_values(message: IonoUtc) -> dict[str, float]:
         "leap_day": utc.leap_day,
         "leap_future_s": utc.leap_future_s,
     }
+
+
+LNAV: Final = MessageFormat(
+    name="LNAV",
+    subframe_symbols=SUBFRAME_BITS,
+    head_symbols=2 * WORD_BITS,
+    start=start,
+    find_frames=find_frames,
+    collect=collect,
+)
+"""The message of GPS L1 C/A."""

@@ -12,6 +12,7 @@ and GEO satellites D2 (no secondary code, 2 ms). What may be relied on:
   satellite time (GPST), are a multiple of `symbol_periods`: BDT is 14 whole seconds behind.
 - `secondary_code` is empty or has `symbol_periods` entries; its first belongs to the first code
   period of a symbol. A code period carries primary code · secondary chip · symbol.
+- `message` knows the frames the symbols make up, in GPST whatever the system's time.
 """
 
 from __future__ import annotations
@@ -25,6 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepgnss.core.records import BDS_B1I, GPS_L1CA, FloatArray, SignalId
+from deepgnss.receiver.beidou_nav import D1, D2
+from deepgnss.receiver.lnav import LNAV
+from deepgnss.receiver.messages import MessageFormat
+
+_UPDATE_S: Final = 0.02
 
 
 class CodeRuns(NamedTuple):
@@ -47,6 +53,7 @@ class Signal:
     primary_code: Callable[[int], NDArray[np.int8]]  # PRN → ±1 chips, logic 0 = +1
     secondary_code: tuple[int, ...]  # ±1, one per code period; empty: none
     symbol_periods: int  # code periods per navigation symbol
+    message: MessageFormat
     # Codes of the same family that others send on this carrier: never received, but known for
     # what they leave in a search for weak satellites.
     relatives: tuple[int, ...] = ()
@@ -60,6 +67,21 @@ class Signal:
     def symbol_s(self) -> float:
         """Length of one navigation symbol, s."""
         return self.symbol_periods * self.period_s
+
+    @property
+    def update_periods(self) -> int:
+        """Code periods of an undivided loop update: a symbol, or the short ones that fill 20 ms."""
+        return self.symbol_periods * max(1, round(_UPDATE_S / self.symbol_s))
+
+    @property
+    def update_s(self) -> float:
+        """Length of an undivided loop update, s."""
+        return self.update_periods * self.period_s
+
+    @property
+    def secondary(self) -> FloatArray:
+        """Secondary chips of a symbol's code periods, ±1; all 1 where there is no such code."""
+        return np.array(self.secondary_code or (1,) * self.symbol_periods, dtype=np.float64)
 
     @property
     def carrier_to_code(self) -> float:
@@ -146,6 +168,7 @@ GPS_L1CA_SIGNAL = Signal(
     primary_code=ca_code,
     secondary_code=(),
     symbol_periods=20,
+    message=LNAV,
     relatives=(*range(120, 159), *range(193, 203)),
 )
 
@@ -155,6 +178,7 @@ BDS_B1I_D1 = Signal(
     primary_code=b1i_code,
     secondary_code=NH20,
     symbol_periods=20,
+    message=D1,
     relatives=_GEO_PRNS,
 )
 """B1I of the BeiDou satellites in medium and inclined geosynchronous orbits."""
@@ -165,6 +189,7 @@ BDS_B1I_D2 = Signal(
     primary_code=b1i_code,
     secondary_code=(),
     symbol_periods=2,
+    message=D2,
     relatives=_MEO_IGSO_PRNS,
 )
 """B1I of the geostationary BeiDou satellites."""

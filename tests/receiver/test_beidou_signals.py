@@ -78,7 +78,7 @@ def test_every_satellite_has_one_object() -> None:
 
 
 def test_real_capture(shared_data: Path) -> None:
-    """0.65 ms of B1I on the air: less than a code period, so the code is laid over by FFT."""
+    """0.65 ms of B1I on the air, less than a code period, laid on the code by FFT."""
     path = shared_data / "real/if/gnss-sdr/BdsB1IStr01_fs25e6_if0_4ms.dat"
     wave = np.fromfile(path, np.complex64).astype(np.complex128)
     rate_hz, count = 25e6, 25_000

@@ -75,14 +75,15 @@ def test_every_single_and_double_error_in_a_word_is_seen(polarity: int) -> None:
 
 
 def decoded(bits: np.ndarray, near: GpsTime) -> Ephemeris:
-    state, found = lnav.start("G08"), None
+    state, found = lnav.start("G08"), []
     for k in range(3):
         subframe = lnav.decode_subframe(bits[300 * k : 300 * (k + 1)])
         assert subframe is not None
-        state, new = lnav.collect(state, subframe, near)
-        found = found or new
-    assert isinstance(found, Ephemeris)
-    return found
+        state, news = lnav.collect(state, subframe, near)
+        found = [*found, *news]
+    assert len(found) == 1
+    assert isinstance(found[0], Ephemeris)
+    return found[0]
 
 
 @quiet
@@ -122,7 +123,7 @@ def test_iono_and_utc_round_trip_and_week_of_the_bits() -> None:
     bits = frame(WHEN.plus(-4.5), iono=IONO_UTC)[900:1200]
     subframe = lnav.decode_subframe(bits)
     assert subframe is not None
-    _, got = lnav.collect(lnav.start("G08"), subframe, GpsTime(2190, 0.0))
+    _, (got,) = lnav.collect(lnav.start("G08"), subframe, GpsTime(2190, 0.0))
     assert isinstance(got, lnav.IonoUtc)
     assert got.klobuchar.alpha == pytest.approx(KLOBUCHAR.alpha, abs=2**-25)
     assert got.klobuchar.beta == pytest.approx(KLOBUCHAR.beta, abs=2**15)
@@ -146,10 +147,11 @@ def test_sets_of_different_issue_never_mix() -> None:
         assert subframe is not None
         state, found = lnav.collect(state, subframe)
         got.append(found)
-    assert got[:4] == [None] * 4
-    assert isinstance(got[4], Ephemeris)
-    assert got[4].iode == 77
-    assert got[4].m0_rad == pytest.approx(0.5, abs=1e-8)
+    assert got[:4] == [()] * 4
+    (new,) = got[4]
+    assert isinstance(new, Ephemeris)
+    assert new.iode == 77
+    assert new.m0_rad == pytest.approx(0.5, abs=1e-8)
 
 
 def test_the_same_set_again_is_no_news_but_a_change_of_health_is() -> None:
@@ -161,7 +163,7 @@ def test_the_same_set_again_is_no_news_but_a_change_of_health_is() -> None:
             subframe = lnav.decode_subframe(bits[300 * k : 300 * (k + 1)])
             assert subframe is not None
             state, found = lnav.collect(state, subframe)
-            count.append(found is not None)
+            count.append(len(found))
     assert np.flatnonzero(count).tolist() == [2, 6]
     assert state.ephemeris is not None
     assert state.ephemeris.health == 63
@@ -246,9 +248,10 @@ def test_real_subframes_give_the_ephemerides_others_decoded(shared_data: Path) -
             failed.append(lnav.check_words(bits, (0, 0))[1].sum())
             continue
         state = states.get(satellite, lnav.start(satellite))
-        states[satellite], new = lnav.collect(state, subframe)
-        if isinstance(new, Ephemeris):
-            got[satellite] = new
+        states[satellite], news = lnav.collect(state, subframe)
+        for new in news:
+            if isinstance(new, Ephemeris):
+                got[satellite] = new
     assert failed == [9]  # one of 573 has one word whose parity does not hold
     reference = {
         name: sets

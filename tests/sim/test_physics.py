@@ -117,7 +117,7 @@ def test_broadcast_gives_back_the_true_orbit_to_the_last_bit() -> None:
     bits = encode_subframe(frame.plus(18.0), 4, ephemeris, message, page=18)
     subframe = decode_subframe(bits)
     assert subframe is not None
-    assert collect(start("G01"), subframe, near=START)[1] == message
+    assert collect(start("G01"), subframe, near=START)[1] == (message,)
 
 
 @pytest.mark.parametrize("week", [2290, 2189])

@@ -1,0 +1,543 @@
+"""BeiDou D1 and D2: words, subframes to ephemerides and back (BDS-SIS-ICD B1I 5.2, 5.3).
+
+A subframe is 300 bits in ten words, 224 of them information. Read without parity and interleaving
+the information is dense: a field that the interface document splits over words is one piece here,
+and a page is just the list of its fields (`FIELDS`, `D1_PAGES`, `D2_PAGES`), which serves encoder
+and decoder. Fields split over pages name their pieces in both.
+
+D1 (50 bps, MEO and IGSO): frames of 30 s, ephemeris in subframes 1–3. D2 (500 bps, GEO): frames
+of 3 s, ephemeris in subframe 1 of ten frames. Times are GPST outside, BDT in the bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from deepgnss.core.constants import BDT_MINUS_GPST_S, GPS_PI, SECONDS_PER_WEEK
+from deepgnss.core.errors import NumericalError
+from deepgnss.core.records import Ephemeris, Klobuchar, UtcParameters
+from deepgnss.core.time import GpsTime
+from deepgnss.receiver import bch
+from deepgnss.receiver.lnav import URA_M
+from deepgnss.receiver.messages import Bits, Frame, IonoUtc, MessageFormat, News, nearest
+
+SUBFRAME_BITS: Final = 300
+WORD_BITS: Final = 30
+INFORMATION_BITS: Final = 26 + 9 * 22
+PREAMBLE: Final = np.array([1, 1, 1, 0, 0, 0, 1, 0, 0, 1, 0], dtype=np.int8)
+BDT_WEEK_OFFSET: Final = 1356
+"""GPS week of BeiDou week 0."""
+
+_HEAD_BITS: Final = 2 * WORD_BITS
+_HEADER: Final = (("preamble", 11), ("", 4), ("subframe_id", 3), ("sow_s", 20))
+_HEADER_BITS: Final = sum(length for _, length in _HEADER)
+_MOST_CORRECTED: Final = 4  # of 19 code words: a subframe with more of them is not believed
+
+# --- fields --------------------------------------------------------------------------------------
+
+
+class Field(NamedTuple):
+    """How a number is written: bits, unit of the last one, two's complement or not."""
+
+    bits: int
+    scale: float = 1.0
+    signed: bool = False
+
+
+FIELDS: Final[Mapping[str, Field]] = {
+    "page": Field(7),
+    "d2_page": Field(4),
+    "health": Field(1),
+    "iodc": Field(5),  # AODC
+    "ura_index": Field(4),
+    "week": Field(13),
+    "toc_s": Field(17, 2.0**3),
+    "group_delay_s": Field(10, 1e-10, True),  # TGD1
+    "group_delay2_s": Field(10, 1e-10, True),
+    "alpha0": Field(8, 2.0**-30, True),
+    "alpha1": Field(8, 2.0**-27, True),
+    "alpha2": Field(8, 2.0**-24, True),
+    "alpha3": Field(8, 2.0**-24, True),
+    "beta0": Field(8, 2.0**11, True),
+    "beta1": Field(8, 2.0**14, True),
+    "beta2": Field(8, 2.0**16, True),
+    "beta3": Field(8, 2.0**16, True),
+    "af2_sps2": Field(11, 2.0**-66, True),
+    "af0_s": Field(24, 2.0**-33, True),
+    "af1_sps": Field(22, 2.0**-50, True),
+    "iode": Field(5),  # AODE
+    "delta_n_radps": Field(16, 2.0**-43 * GPS_PI, True),
+    "cuc_rad": Field(18, 2.0**-31, True),
+    "m0_rad": Field(32, 2.0**-31 * GPS_PI, True),
+    "eccentricity": Field(32, 2.0**-33),
+    "cus_rad": Field(18, 2.0**-31, True),
+    "crc_m": Field(18, 2.0**-6, True),
+    "crs_m": Field(18, 2.0**-6, True),
+    "sqrt_a_rm": Field(32, 2.0**-19),
+    "toe_s": Field(17, 2.0**3),
+    "i0_rad": Field(32, 2.0**-31 * GPS_PI, True),
+    "cic_rad": Field(18, 2.0**-31, True),
+    "omega_dot_radps": Field(24, 2.0**-43 * GPS_PI, True),
+    "cis_rad": Field(18, 2.0**-31, True),
+    "idot_radps": Field(14, 2.0**-43 * GPS_PI, True),
+    "omega0_rad": Field(32, 2.0**-31 * GPS_PI, True),
+    "omega_rad": Field(32, 2.0**-31 * GPS_PI, True),
+    "leap_s": Field(8, 1.0, True),  # BDT − UTC
+    "leap_future_s": Field(8, 1.0, True),
+    "leap_week": Field(8),
+    "a0_s": Field(32, 2.0**-30, True),
+    "a1_sps": Field(24, 2.0**-50, True),
+    "leap_day": Field(8),  # 0–6
+}
+"""Every number of the messages (BDS-SIS-ICD B1I tables 5-5 to 5-11, 5-17)."""
+
+Layout = tuple[tuple[str, int], ...]
+Page = tuple[int, int]  # number of the subframe, and page where subframes have pages
+
+_KLOBUCHAR: Final = tuple(f"{half}{n}" for half in ("alpha", "beta") for n in range(4))
+
+
+def _whole(*names: str) -> Layout:
+    """Fields that stand undivided."""
+    return tuple((name, FIELDS[name].bits) for name in names)
+
+
+_UTC_PAGE: Final = (
+    ("", 1),
+    *_whole("page", "leap_s", "leap_future_s", "leap_week", "a0_s", "a1_sps", "leap_day"),
+)
+
+D1_PAGES: Final[Mapping[Page, Layout]] = {  # from bit 39 of the information on
+    (1, 0): _whole("health", "iodc", "ura_index", "week", "toc_s", "group_delay_s")
+    + _whole("group_delay2_s", *_KLOBUCHAR, "af2_sps2", "af0_s", "af1_sps", "iode"),
+    (2, 0): _whole("delta_n_radps", "cuc_rad", "m0_rad", "eccentricity", "cus_rad", "crc_m")
+    + (*_whole("crs_m", "sqrt_a_rm"), ("toe_s", 2)),
+    (3, 0): (("toe_s", 15), *_whole("i0_rad", "cic_rad", "omega_dot_radps", "cis_rad"))
+    + _whole("idot_radps", "omega0_rad", "omega_rad"),
+    (5, 10): _UTC_PAGE,
+}
+
+D2_PAGES: Final[Mapping[Page, Layout]] = {
+    (1, 1): _whole("d2_page", "health", "iodc", "ura_index", "week", "toc_s", "group_delay_s")
+    + _whole("group_delay2_s"),
+    (1, 2): _whole("d2_page", *_KLOBUCHAR),
+    (1, 3): (*_whole("d2_page"), ("", 38), *_whole("af0_s"), ("af1_sps", 4)),
+    (1, 4): (*_whole("d2_page"), ("af1_sps", 18), *_whole("af2_sps2", "iode", "delta_n_radps"))
+    + (("cuc_rad", 14),),
+    (1, 5): (*_whole("d2_page"), ("cuc_rad", 4), *_whole("m0_rad", "cus_rad"))
+    + (("eccentricity", 10),),
+    (1, 6): (*_whole("d2_page"), ("eccentricity", 22), *_whole("sqrt_a_rm"), ("cic_rad", 10)),
+    (1, 7): (*_whole("d2_page"), ("cic_rad", 8), *_whole("cis_rad", "toe_s"), ("i0_rad", 21)),
+    (1, 8): (*_whole("d2_page"), ("i0_rad", 11), *_whole("crc_m", "crs_m"))
+    + (("omega_dot_radps", 19),),
+    (1, 9): (*_whole("d2_page"), ("omega_dot_radps", 5), *_whole("omega0_rad"))
+    + (("omega_rad", 27),),
+    (1, 10): (*_whole("d2_page"), ("omega_rad", 5), *_whole("idot_radps")),
+    (5, 102): _UTC_PAGE,
+}
+
+
+def _unpack(pages: Mapping[Page, Layout], information: Mapping[Page, int]) -> dict[str, float]:
+    """Values of the fields of the pages at hand; a field spread over pages needs all of them."""
+    raw: dict[str, int] = {}
+    for page in sorted(information):
+        at = INFORMATION_BITS - _HEADER_BITS
+        for name, length in pages[page]:
+            at -= length
+            raw[name] = raw.get(name, 0) << length | information[page] >> at & (1 << length) - 1
+    values = {}
+    for name in raw.keys() - {""}:
+        bits, scale, signed = FIELDS[name]
+        negative = signed and raw[name] >> (bits - 1)
+        values[name] = (raw[name] - (1 << bits if negative else 0)) * scale
+    return values
+
+
+def _pack(pages: Mapping[Page, Layout], page: Page, values: Mapping[str, float]) -> int:
+    """The information of a page, header empty; what no field takes is 0."""
+    left = {name: FIELDS[name].bits for name in FIELDS}
+    for earlier in (p for p in sorted(pages) if p < page):
+        for name, length in pages[earlier]:
+            if name in left and length < left[name]:
+                left[name] -= length
+    information, at = 0, INFORMATION_BITS - _HEADER_BITS
+    for name, length in pages[page]:
+        at -= length
+        if name:
+            left[name] -= length
+            information |= (_raw(name, values[name]) >> left[name] & (1 << length) - 1) << at
+    return information
+
+
+def _raw(name: str, value: float) -> int:
+    bits, scale, signed = FIELDS[name]
+    raw = round(value / scale)
+    low = -(1 << (bits - 1)) if signed else 0
+    if not low <= raw < low + (1 << bits):
+        raise NumericalError(f"BeiDou {name}: {value} needs more than {bits} bits of {scale:g}")
+    return raw
+
+
+# --- words ---------------------------------------------------------------------------------------
+
+
+def encode_words(information: int) -> Bits:
+    """The 300 transmitted bits of a subframe's information (BDS-SIS-ICD B1I 5.1.3).
+
+    Two code words of 15 bits make a word, bit by bit in turn; only of the first word the first 15
+    bits are sent as they are, and the other 15 are one code word.
+    """
+    bits = np.array([information >> k & 1 for k in range(INFORMATION_BITS - 1, -1, -1)], np.int8)
+    codes = bch.encode(bits[15:].reshape(-1, bch.INFORMATION_BITS))
+    pairs = codes[1:].reshape(-1, 2, bch.WORD_BITS).transpose(0, 2, 1)
+    return np.concatenate([bits[:15], codes[0], pairs.ravel()])
+
+
+def decode_words(bits: Bits) -> tuple[int, int]:
+    """Information of whole words from a subframe's start, upright, and how many code words erred.
+
+    Every code word is brought to the nearest valid one.
+    """
+    pairs = bits[WORD_BITS:].reshape(-1, bch.WORD_BITS, 2).transpose(0, 2, 1)
+    codes = np.vstack([bits[15:WORD_BITS], pairs.reshape(-1, bch.WORD_BITS)])
+    nearest_codes, wrong = bch.correct(codes)
+    data = np.concatenate([bits[:15], nearest_codes[:, : bch.INFORMATION_BITS].ravel()])
+    return int("".join(map(str, data.tolist())), 2), int(wrong.sum())
+
+
+# --- subframes -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class BeidouSubframe:
+    """A subframe with few enough errors to be believed."""
+
+    start_tow_s: float  # GPST of the satellite at which its first bit left
+    subframe_id: int
+    information: int  # 224 bits
+    corrected: int  # code words in which a bit was turned; two wrong bits make that a third one
+
+    @property
+    def payload(self) -> int:
+        """Information behind the second of week."""
+        return self.information & (1 << (INFORMATION_BITS - _HEADER_BITS)) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """What D1 and D2 differ in."""
+
+    name: str
+    subframe_s: float
+    pages: Mapping[Page, Layout]
+    cycle: Mapping[Page, float]  # pages of an ephemeris and when they start in their common cycle
+    klobuchar: Page
+    utc: Page
+
+    def start_tow_s(self, sow_s: int, subframe_id: int) -> float:
+        """GPST of a subframe; D1 counts seconds at its own start, D2 at its frame's."""
+        late_s = 0.0 if self.subframe_s >= 1.0 else (subframe_id - 1) * self.subframe_s
+        return (sow_s - BDT_MINUS_GPST_S) % SECONDS_PER_WEEK + late_s
+
+    def page(self, subframe: BeidouSubframe) -> Page | None:
+        """The page a subframe is, None for almanacs and the like."""
+        number = subframe.subframe_id
+        if (number, 0) in self.pages:
+            return number, 0
+        length = 4 if number == 1 else 8  # the latter with a bit that is reserved
+        shown = subframe.payload >> INFORMATION_BITS - _HEADER_BITS - length
+        page = number, shown & 127
+        return page if page in self.pages else None
+
+
+def _handover(kind: _Kind, head: int) -> tuple[float, int] | None:
+    """Start time and number of a subframe from the first 38 bits of its information."""
+    subframe_id, sow_s = head >> 20 & 7, head & 0xFFFFF
+    if not 1 <= subframe_id <= 5 or sow_s >= SECONDS_PER_WEEK:
+        return None
+    return kind.start_tow_s(sow_s, subframe_id), subframe_id
+
+
+def _decode(kind: _Kind, bits: Bits) -> BeidouSubframe | None:
+    if not np.array_equal(bits[: PREAMBLE.size], PREAMBLE):
+        return None
+    information, corrected = decode_words(bits)
+    handover = _handover(kind, information >> INFORMATION_BITS - _HEADER_BITS)
+    if corrected > _MOST_CORRECTED or handover is None:
+        return None
+    return BeidouSubframe(*handover, information, corrected)
+
+
+def _find_frames(kind: _Kind, bits: Bits, first: int = 0) -> list[Frame]:
+    """All places from index `first` on where a subframe starts, of either polarity.
+
+    Needed: the preamble, and either a subframe with few errors or two words without any that give
+    a possible time and number; if the next subframe's two words are there too, they must read as
+    its successor.
+    """
+    if bits.size - first < _HEAD_BITS:
+        return []
+    windows = np.lib.stride_tricks.sliding_window_view(
+        bits[first : bits.size - _HEAD_BITS + PREAMBLE.size], PREAMBLE.size
+    )
+    hits = (windows == PREAMBLE).sum(axis=1)
+    frames = (
+        _frame_at(kind, bits, int(k)) for k in np.flatnonzero(hits % PREAMBLE.size == 0) + first
+    )
+    return [frame for frame in frames if frame is not None]
+
+
+def _frame_at(kind: _Kind, bits: Bits, first: int) -> Frame | None:
+    polarity = int(bits[first] ^ PREAMBLE[0])
+    upright = bits[first : first + SUBFRAME_BITS + _HEAD_BITS] ^ polarity
+    subframe = _decode(kind, upright[:SUBFRAME_BITS]) if upright.size >= SUBFRAME_BITS else None
+    if subframe is not None:
+        return Frame(first, polarity, subframe.start_tow_s, subframe.subframe_id, True, subframe)
+    head = _clean_head(kind, upright[:_HEAD_BITS])
+    if head is None:
+        return None
+    follows = False
+    if upright.size == SUBFRAME_BITS + _HEAD_BITS:
+        after = _clean_head(kind, upright[SUBFRAME_BITS:])
+        if after is None or after[1] != head[1] % 5 + 1:
+            return None
+        late_s = (after[0] - head[0] - kind.subframe_s) % SECONDS_PER_WEEK
+        if min(late_s, SECONDS_PER_WEEK - late_s) > 0.01:
+            return None
+        follows = True
+    return Frame(first, polarity, *head, follows, None)
+
+
+def _clean_head(kind: _Kind, bits: Bits) -> tuple[float, int] | None:
+    if not np.array_equal(bits[: PREAMBLE.size], PREAMBLE):
+        return None
+    information, corrected = decode_words(bits)
+    return None if corrected else _handover(kind, information >> 48 - _HEADER_BITS)
+
+
+# --- from subframes to records -------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class BeidouState:
+    """What was gathered from one satellite."""
+
+    satellite: str
+    pages: Mapping[Page, BeidouSubframe] = field(default_factory=dict)
+    doubtful: Mapping[Page, int] = field(default_factory=dict)  # payloads with corrected bits
+    ephemeris: Ephemeris | None = None
+    klobuchar: Klobuchar | None = None
+    utc: UtcParameters | None = None
+
+
+_EPHEMERIS_FIELDS: Final = frozenset(f.name for f in fields(Ephemeris)) & FIELDS.keys()
+
+
+def _collect(
+    kind: _Kind, state: BeidouState, subframe: BeidouSubframe, near: GpsTime | None = None
+) -> tuple[BeidouState, tuple[News, ...]]:
+    """Take in a subframe; hand out what it completes, if that is new.
+
+    The pages of an ephemeris carry no common issue: they count together when they left in one
+    cycle (a frame of D1, ten of D2), within which the set does not change. A subframe with
+    corrected bits counts once it has come twice alike.
+    """
+    page = kind.page(subframe)
+    if page is None:
+        return state, ()
+    if subframe.corrected and state.doubtful.get(page) != subframe.payload:
+        known = state.pages.get(page)
+        if known is None or known.payload != subframe.payload:
+            return replace(state, doubtful={**state.doubtful, page: subframe.payload}), ()
+    state = replace(state, pages={**state.pages, page: subframe})
+    news: list[News] = []
+    if page in kind.cycle:
+        ephemeris = _ephemeris(kind, state)
+        old = state.ephemeris
+        if ephemeris is not None and (
+            old is None or replace(old, transmitted=ephemeris.transmitted) != ephemeris
+        ):
+            state = replace(state, ephemeris=ephemeris)
+            news.append(ephemeris)
+    if page == kind.klobuchar:
+        values = _unpack(kind.pages, {page: subframe.information})
+        a0, a1, a2, a3, b0, b1, b2, b3 = (values[name] for name in _KLOBUCHAR)
+        klobuchar = Klobuchar((a0, a1, a2, a3), (b0, b1, b2, b3))
+        if klobuchar != state.klobuchar and any(klobuchar.alpha + klobuchar.beta):
+            state = replace(state, klobuchar=klobuchar)
+            news.append(IonoUtc(klobuchar, None, state.satellite[0]))
+    date = state.ephemeris.transmitted if state.ephemeris else near
+    if page == kind.utc and date is not None:
+        utc = _utc(_unpack(kind.pages, {page: subframe.information}), date)
+        if utc != state.utc:
+            state = replace(state, utc=utc)
+            news.append(IonoUtc(None, utc, state.satellite[0]))
+    return state, tuple(news)
+
+
+def _ephemeris(kind: _Kind, state: BeidouState) -> Ephemeris | None:
+    if not kind.cycle.keys() <= state.pages.keys():
+        return None
+    parts = {page: state.pages[page] for page in kind.cycle}
+    starts_s = {
+        round(part.start_tow_s - kind.cycle[page]) % SECONDS_PER_WEEK
+        for page, part in parts.items()
+    }
+    if len(starts_s) > 1:
+        return None
+    values = _unpack(kind.pages, {page: part.information for page, part in parts.items()})
+    sent_s = starts_s.pop()
+    # Satellite time is GPST here, the week that of BDT, 14 s behind: it may still be the last one.
+    week = BDT_WEEK_OFFSET + int(values["week"]) + (sent_s < -BDT_MINUS_GPST_S)
+    transmitted = GpsTime(week, float(sent_s))
+    named = {name: values[name] for name in _EPHEMERIS_FIELDS}
+    integers = {name: int(values[name]) for name in ("iode", "iodc", "health")}
+    return Ephemeris(
+        satellite=state.satellite,
+        transmitted=transmitted,
+        toe=_gpst(values["toe_s"], transmitted),
+        toc=_gpst(values["toc_s"], transmitted),
+        accuracy_m=URA_M[int(values["ura_index"])],
+        **(named | integers),  # type: ignore[arg-type]  # the table names the rest
+    )
+
+
+def _gpst(sow_s: float, near: GpsTime) -> GpsTime:
+    return nearest((sow_s - BDT_MINUS_GPST_S) % SECONDS_PER_WEEK, near)
+
+
+def _utc(values: Mapping[str, float], date: GpsTime) -> UtcParameters:
+    """Of BDT; its polynomial counts from the start of the week (5.2.4.19)."""
+    now = date.plus(BDT_MINUS_GPST_S).week
+    leap_week = BDT_WEEK_OFFSET + int(values["leap_week"])
+    return UtcParameters(
+        a0_s=values["a0_s"],
+        a1_sps=values["a1_sps"],
+        reference=GpsTime(now, 0.0).plus(-BDT_MINUS_GPST_S),
+        leap_s=int(values["leap_s"] - BDT_MINUS_GPST_S),
+        leap_future_s=int(values["leap_future_s"] - BDT_MINUS_GPST_S),
+        leap_week=leap_week + 256 * round((now - leap_week) / 256),
+        leap_day=int(values["leap_day"]) + 1,  # GPS counts days from 1
+    )
+
+
+# --- from records to subframes -------------------------------------------------------------------
+
+
+def _encode(
+    kind: _Kind,
+    start: GpsTime,
+    ephemeris: Ephemeris,
+    klobuchar: Klobuchar | None,
+    utc: UtcParameters | None,
+) -> Bits:
+    bdt = start.plus(BDT_MINUS_GPST_S)
+    count = round(bdt.tow_s / kind.subframe_s)  # subframes since the start of the BDT week
+    subframe_id, frame = count % 5 + 1, count // 5
+    frame_s = round(5.0 * kind.subframe_s)
+    if kind is _D1:
+        page = (subframe_id, frame % 24 + 1 if subframe_id > 3 else 0)
+        sow_s = round(count * kind.subframe_s)
+    else:
+        page = (subframe_id, frame % {1: 10, 5: 120}.get(subframe_id, 6) + 1)
+        sow_s = frame * frame_s
+    values = {**_values(ephemeris, bdt.week), **_page_values(klobuchar, utc), "d2_page": page[1]}
+    values["page"] = page[1]
+    if page in kind.pages and (page != kind.utc or utc is not None):
+        information = _pack(kind.pages, page, values)
+    else:
+        information = _filler(subframe_id, page[1])
+    head = 0x712 << 27 | subframe_id << 20 | sow_s
+    return encode_words(head << INFORMATION_BITS - _HEADER_BITS | information)
+
+
+def _filler(subframe_id: int, page: int) -> int:
+    """Alternating ones and zeros behind the page number."""
+    length = INFORMATION_BITS - _HEADER_BITS - 8
+    return page << length | int("10" * (length // 2), 2)
+
+
+def _values(ephemeris: Ephemeris, week: int) -> dict[str, float]:
+    named = {name: getattr(ephemeris, name) for name in _EPHEMERIS_FIELDS}
+    return named | {
+        "week": week - BDT_WEEK_OFFSET,
+        "ura_index": next(n for n, m in enumerate(URA_M) if m >= min(ephemeris.accuracy_m, 8192)),
+        "toc_s": ephemeris.toc.plus(BDT_MINUS_GPST_S).tow_s,
+        "toe_s": ephemeris.toe.plus(BDT_MINUS_GPST_S).tow_s,
+    }
+
+
+def _page_values(klobuchar: Klobuchar | None, utc: UtcParameters | None) -> dict[str, float]:
+    coefficients: Sequence[float] = (0.0,) * 8
+    if klobuchar is not None:
+        coefficients = klobuchar.alpha + klobuchar.beta
+    values = dict(zip(_KLOBUCHAR, coefficients, strict=True))
+    if utc is not None:
+        values |= {
+            "a0_s": utc.a0_s,
+            "a1_sps": utc.a1_sps,
+            "leap_s": utc.leap_s + BDT_MINUS_GPST_S,
+            "leap_future_s": utc.leap_future_s + BDT_MINUS_GPST_S,
+            "leap_week": (utc.leap_week - BDT_WEEK_OFFSET) % 256,
+            "leap_day": utc.leap_day - 1,
+        }
+    return values
+
+
+# --- the two formats -----------------------------------------------------------------------------
+
+_D1: Final = _Kind("D1", 6.0, D1_PAGES, {(n, 0): 6.0 * (n - 1) for n in (1, 2, 3)}, (1, 0), (5, 10))
+_D2: Final = _Kind(
+    "D2",
+    0.6,
+    D2_PAGES,
+    {(1, n): 3.0 * (n - 1) for n in (1, *range(3, 11))},
+    (1, 2),
+    (5, 102),
+)
+
+
+def encode_d1(
+    start: GpsTime,
+    ephemeris: Ephemeris,
+    klobuchar: Klobuchar | None = None,
+    utc: UtcParameters | None = None,
+) -> Bits:
+    """The 300 bits of the D1 subframe due at `start`, GPST by the satellite's clock.
+
+    `start` lies a multiple of 6 s after the start of a BDT week. Almanac pages are filled with
+    alternating ones and zeros; missing Klobuchar coefficients are zeros.
+    """
+    return _encode(_D1, start, ephemeris, klobuchar, utc)
+
+
+def encode_d2(
+    start: GpsTime,
+    ephemeris: Ephemeris,
+    klobuchar: Klobuchar | None = None,
+    utc: UtcParameters | None = None,
+) -> Bits:
+    """The 300 bits of the D2 subframe due at `start`, a multiple of 0.6 s in BDT; as for D1."""
+    return _encode(_D2, start, ephemeris, klobuchar, utc)
+
+
+def _format(kind: _Kind) -> MessageFormat:
+    return MessageFormat(
+        name=kind.name,
+        subframe_symbols=SUBFRAME_BITS,
+        head_symbols=_HEAD_BITS,
+        start=BeidouState,
+        find_frames=partial(_find_frames, kind),
+        collect=partial(_collect, kind),
+    )
+
+
+D1: Final = _format(_D1)
+"""The message of BeiDou MEO and IGSO satellites on B1I."""
+D2: Final = _format(_D2)
+"""The message of BeiDou GEO satellites on B1I."""

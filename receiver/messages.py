@@ -1,0 +1,77 @@
+"""What every navigation message offers to frame sync and receiver, whatever its format.
+
+A format finds its subframes in a stream of symbols, reads them, and collects them to ephemerides
+and the like. Times are GPST, so that whoever uses them need not know the system's own time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepgnss.core.records import Ephemeris, Klobuchar, UtcParameters
+from deepgnss.core.time import GpsTime
+
+Bits = NDArray[np.int8]
+
+
+class Subframe(Protocol):
+    """A subframe that was read and believed."""
+
+    @property
+    def start_tow_s(self) -> float:
+        """GPST second of week, by the satellite's clock, at which its first bit left."""
+
+    @property
+    def subframe_id(self) -> int:
+        """Its number, 1–5."""
+
+
+class Frame(NamedTuple):
+    """A place in a stream of symbols where the head of a subframe stands."""
+
+    first: int  # index of the first symbol
+    polarity: int  # 1: all symbols are inverted
+    start_tow_s: float  # satellite time (GPST) at which the first symbol left
+    subframe_id: int
+    confirmed: bool  # by the checks of all words, or by the head of the next subframe
+    subframe: Any  # a Subframe of the format; None: not all there, or a check failed
+
+
+class IonoUtc(NamedTuple):
+    """Ionosphere and UTC of a system as far as a page tells them."""
+
+    klobuchar: Klobuchar | None
+    utc: UtcParameters | None
+    system: str = "G"
+
+
+News = Ephemeris | IonoUtc
+
+
+@dataclass(frozen=True, slots=True)
+class MessageFormat:
+    """A format's constants and functions. `start` gives the record that `collect` passes on.
+
+    collect: (record, subframe, rough date for the week number) → (record, what is new).
+    """
+
+    name: str
+    subframe_symbols: int
+    head_symbols: int  # by which a subframe is recognised
+    start: Callable[[str], Any]
+    find_frames: Callable[[Bits, int], list[Frame]]
+    collect: Callable[[Any, Any, GpsTime | None], tuple[Any, tuple[News, ...]]]
+
+
+# --- fields --------------------------------------------------------------------------------------
+
+
+def nearest(tow_s: float, reference: GpsTime, week_s: float = 604_800.0) -> GpsTime:
+    """The instant with this second of week that lies nearest to `reference`."""
+    half = week_s / 2
+    return reference.plus((tow_s - reference.tow_s + half) % week_s - half)
