@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 from pydantic import BeforeValidator, Field, model_validator
 
 from deepgnss.core.records import Oscillator
+from deepgnss.io.config.axes import Axes
 from deepgnss.io.config.imu_grade import NamedImuGrade
 from deepgnss.io.config.quantity import ExistingFile, Quantity, Section, Switch, misfit
 from deepgnss.io.config.text import parse_value
@@ -20,11 +21,6 @@ NovatelModel = Literal[
 
 Metres = Annotated[float, Quantity(-100.0, 100.0, "m")]
 Degrees = Annotated[float, Quantity(-360.0, 360.0, "deg")]
-MatrixRow = tuple[
-    Annotated[float, Quantity(-1.0, 1.0, "")],
-    Annotated[float, Quantity(-1.0, 1.0, "")],
-    Annotated[float, Quantity(-1.0, 1.0, "")],
-]
 
 
 class ImuUnitsConfig(Section):
@@ -55,18 +51,6 @@ class AlignmentConfig(Section):
             if given != (self.method == "config"):
                 raise misfit("expected an angle with `method: config`, and only then", name)
         return self
-
-
-def _axis_letters(value: object) -> object:
-    if not isinstance(value, str):
-        return value
-    pairs = {"F": 0, "B": 0, "R": 1, "L": 1, "U": 2, "D": 2}
-    if sorted(pairs.get(letter, -1) for letter in value) != [0, 1, 2]:
-        raise misfit("expected three of F/B, R/L, U/D such as FRD or RFU, or a 3×3 matrix")
-    return value
-
-
-Axes = Annotated[str | tuple[MatrixRow, MatrixRow, MatrixRow], BeforeValidator(_axis_letters)]
 
 
 class ImuConfig(Section):
