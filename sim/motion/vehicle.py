@@ -17,6 +17,8 @@ from deepgnss.core.frames import C_ne, ecef
 from deepgnss.core.records import FloatArray
 from deepgnss.sim.motion.attitude import Attitude, Steady, Turning, turning
 from deepgnss.sim.motion.paths import Motion, Path, Static
+from deepgnss.sim.motion.road import Road
+from deepgnss.sim.motion.street import StreetPath
 
 
 class Pose(NamedTuple):
@@ -54,6 +56,11 @@ class Vehicle:
     def breaks_s(self) -> tuple[float, ...]:
         """Instants at which a derivative of the motion jumps, rising: where quadrature splits."""
         return tuple(sorted({*self.path.breaks_s, *self.attitude.breaks_s}))
+
+    @property
+    def road(self) -> Road | None:
+        """The road it drives along, if there is one."""
+        return self.path.road if isinstance(self.path, StreetPath) else None
 
     def pose(self, t_s: FloatArray) -> Pose:
         """Everything of the IMU at seconds since the start (n,)."""
