@@ -46,6 +46,7 @@ __all__ = [
 
 _LEAK_AMPLITUDE = 3.0  # of a cross-correlation, over noise: from a signal of 52 dB-Hz in 20 ms
 _RELATIVE_FALSE_ALARM = 1e-6  # noise must not explain satellites away
+_CALM_S = 0.01  # length of a symbol that two coherent blocks may straddle
 _TAP_CELLS = 2.0  # early and late, half a chip off
 
 
@@ -120,19 +121,21 @@ def steer(
         out[period, 2] = late
 
 
-def _taps(periods: Periods, prn: int, doppler_hz: float, cell: float) -> ComplexArray:
+def _taps(
+    periods: Periods, blocks: Complex64Array, prn: int, doppler_hz: float, cell: float
+) -> ComplexArray:
     """Early, prompt and late correlations of every period at exact Doppler, (periods, 3).
 
     The carrier is wiped off with its phase running on from period to period.
     """
-    count, cells = periods.samples.shape
+    count, cells = blocks.shape
     turns = doppler_hz * periods.signal.period_s
     wipe = np.exp(-2j * np.pi * turns * np.arange(cells) / cells).astype(np.complex64)
-    spectra = scipy.fft.fft(periods.samples * wipe)
+    spectra = scipy.fft.fft(blocks * wipe)
     drift = turns * periods.cells_per_hz_s
     out = np.empty((count, 3), dtype=np.complex128)
     # The code stands half a drift further on in the middle of the first period.
-    code = code_spectrum(periods.signal.id.name, prn, cells)
+    code = code_spectrum(periods.signal.id.name, prn, cells, cells)
     steer(spectra, code, cell + 0.5 * drift, drift, _TAP_CELLS, out)
     out *= np.exp(-2j * np.pi * turns * np.arange(count))[:, np.newaxis]
     return out
@@ -150,14 +153,15 @@ def _refine(periods: Periods, prn: int, peak: Peak, coherent: int) -> _Refined:
     """Fractions of Doppler bin and chip, and the strength, from the highest cell on."""
     signal = periods.signal
     chip = periods.cells / signal.id.code_chips
-    doppler_hz, cell = peak.doppler_hz, float(peak.cell)
+    blocks, start = periods.aligned(peak.cell)
+    doppler_hz, cell = peak.doppler_hz, float(peak.cell + start)
     # A change of sign in a block moves the highest row; from period to period Doppler is known
     # modulo 1 kHz only.
     span_hz = min(0.75 / coherent, 0.35) / signal.period_s
-    times_s = np.arange(float(periods.samples.shape[0])) * signal.period_s
+    times_s = np.arange(float(len(blocks))) * signal.period_s
     for _ in range(2):
-        taps = _taps(periods, prn, doppler_hz, cell)
-        fit = fit_symbols(taps[:, 1], times_s, signal.symbol_periods, span_hz)
+        taps = _taps(periods, blocks, prn, doppler_hz, cell)
+        fit = fit_symbols(taps[:, 1], times_s, signal.secondary, span_hz)
         symbols = np.add.reduceat(fit.strip(taps, times_s), fit.starts, axis=0)
         early, _, late = (symbols * symbols[:, 1:2].conj()).real.sum(axis=0)
         cell += float(np.clip((late - early) / (late + early) * (chip - _TAP_CELLS), -1.0, 1.0))
@@ -167,6 +171,7 @@ def _refine(periods: Periods, prn: int, peak: Peak, coherent: int) -> _Refined:
     noise = peak.noise / len(taps)  # of one period
     power = float(np.vdot(symbols[:, 1], symbols[:, 1]).real)
     snr = max(power / noise - len(taps), 1e-3) / float(lengths @ lengths)
+    cell -= start * (1.0 + doppler_hz / signal.id.carrier_hz)
     return _Refined(doppler_hz, _code_chips(periods, cell), 10.0 * np.log10(snr / signal.period_s))
 
 
@@ -244,7 +249,23 @@ def _search_all(
 
 def _cut(sums: RunningSums, first: int, signal: Signal, settings: AcquisitionSettings) -> Periods:
     coherent = round(settings.coherent_s / signal.period_s)
-    return cut(sums, first, signal, coherent * settings.noncoherent)
+    padded = changes_often(signal)
+    return cut(sums, first, signal, coherent * settings.noncoherent, padded=padded)
+
+
+def changes_often(signal: Signal) -> bool:
+    """Whether the sign changes too often for two blocks of which one is free of it."""
+    return bool(signal.secondary_code) or signal.symbol_s < _CALM_S
+
+
+def _suited(settings: AcquisitionSettings, signal: Signal) -> AcquisitionSettings:
+    """The settings, with as long sums over single code periods where signs change often."""
+    if not changes_often(signal):
+        return settings
+    seconds = settings.coherent_s * settings.noncoherent
+    return replace(
+        settings, coherent_s=signal.period_s, noncoherent=round(seconds / signal.period_s)
+    )
 
 
 def search(
@@ -259,6 +280,7 @@ def search(
 
     Raises ValueError when the sums do not cover coherent × non-coherent time from `first` on.
     """
+    settings = _suited(settings, signal)
     periods = _cut(sums, first, signal, settings)
     return _search_all(periods, [prn], settings, _grid_hz(settings, window), window, None)[0]
 
@@ -276,6 +298,7 @@ def cold_search(
     Peaks that are cross-correlations of stronger satellites are not reported found. The result
     is the same with or without an executor.
     """
+    settings = _suited(settings, signal)
     periods = _cut(sums, first, signal, settings)
     dopplers_hz = _grid_hz(settings, None)
     wanted = prns or signal.prns

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.fft
 import scipy.special
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from deepgnss.core.jit import kernel
@@ -61,22 +62,36 @@ class Peak(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Periods:
-    """The samples of a search, cut into code periods of `cells` each.
+    """The samples of a search, cut into windows that begin a code period of `cells` apart.
 
-    samples: (periods, cells); spectra: (2, periods, cells), the second after mixing by half a bin.
+    A window is one code period, correlated as a circle: where the sign changes in it, power is
+    lost. Where signs change from period to period windows are two periods long and the code is
+    padded with zeros, so that one whole period of it lies within, wherever it starts.
+
+    samples: (periods, window); spectra: (2, periods, window), the second after mixing by half a
+    bin.
     """
 
     signal: Signal
     first: int
+    cells: int
     half_sample_chips: float
     mirror_hz: float | None  # frequency about which the spectrum mirrors itself, if it does
     samples: Complex64Array
     spectra: Complex64Array
 
     @property
-    def cells(self) -> int:
-        """Cells of a code period."""
+    def window(self) -> int:
+        """Cells of a window."""
         return int(self.samples.shape[1])
+
+    def aligned(self, cell: int) -> tuple[Complex64Array, int]:
+        """Blocks of one code period (periods, cells) to refine a peak on, and where they begin.
+
+        Padded windows are cut where the code starts: no sign changes within a block.
+        """
+        start = -cell % self.cells if self.window > self.cells else 0
+        return self.samples[:, start : start + self.cells], start
 
     @property
     def cells_per_hz_s(self) -> float:
@@ -90,8 +105,12 @@ def period_cells(signal: Signal) -> int:
     return cells
 
 
-def cut(sums: RunningSums, first: int, signal: Signal, periods: int) -> Periods:
+def cut(
+    sums: RunningSums, first: int, signal: Signal, periods: int, *, padded: bool = False
+) -> Periods:
     """The samples of `periods` code periods from sample `first` on, carriers taken out.
+
+    Padded windows take one code period more.
 
     Raises ValueError when the sums do not cover them.
     """
@@ -100,24 +119,26 @@ def cut(sums: RunningSums, first: int, signal: Signal, periods: int) -> Periods:
     entries_per_cell = sums.sample_rate_hz / (rate_hz * sums.step)
     start = (first - sums.first) / sums.step
     there = int((sums.packed.size - 2 - start) / entries_per_cell)
-    lacking = periods * cells - there
+    total = periods + padded
+    lacking = total * cells - there
     # The last few cells of a recording may lack the entry behind them: they count as zero.
     if start < 0 or lacking > _CELLS_PER_CHIP:
         raise ValueError(
-            f"search of {periods} code periods from sample {first} on exceeds the samples at hand "
+            f"search of {total} code periods from sample {first} on exceeds the samples at hand "
             f"({sums.first} to {sums.first + (sums.packed.size - 1) * sums.step})"
         )
-    flat = np.zeros(periods * cells, dtype=np.complex64)
+    flat = np.zeros(total * cells, dtype=np.complex64)
     count = min(there, flat.size)
     flat[:count] = resample(sums, first, rate_hz, count)
-    spectra = scipy.fft.fft(flat.reshape(periods, cells))
+    window = cells * (1 + padded)
+    spectra = scipy.fft.fft(sliding_window_view(flat, window)[::cells])
     spectra *= _line_weights(spectra)
     samples = np.asarray(scipy.fft.ifft(spectra))
-    half_bin = np.exp(-1j * np.pi * np.arange(cells) / cells).astype(np.complex64)
+    half_bin = np.exp(-1j * np.pi * np.arange(window) / window).astype(np.complex64)
     spectra = np.stack([spectra, scipy.fft.fft(samples * half_bin)])
     half_sample_chips = 0.5 * signal.id.chip_rate_hz / sums.sample_rate_hz
-    mirror_hz = _mirror_hz(samples.ravel(), rate_hz)
-    return Periods(signal, first, half_sample_chips, mirror_hz, samples, spectra)
+    mirror_hz = _mirror_hz(samples[:, :cells].ravel(), rate_hz)
+    return Periods(signal, first, cells, half_sample_chips, mirror_hz, samples, spectra)
 
 
 def _mirror_hz(samples: Complex64Array, rate_hz: float) -> float | None:
@@ -162,12 +183,14 @@ def replica_cells(signal_name: str, prn: int, cells: int) -> FloatArray:
 
 
 @cache
-def code_spectrum(signal_name: str, prn: int, cells: int) -> Complex64Array:
-    """Conjugate spectrum of the replica.
+def code_spectrum(signal_name: str, prn: int, cells: int, window: int) -> Complex64Array:
+    """Conjugate spectrum of the replica, padded with zeros to a window.
 
-    The forward FFT of a data spectrum times this has the correlation at code phase s in cell s.
+    The forward FFT of a data spectrum times this has the correlation at code phase s in cell s,
+    in a padded window in its last cells.
     """
-    spectrum = np.conj(scipy.fft.fft(replica_cells(signal_name, prn, cells))).astype(np.complex64)
+    replica = replica_cells(signal_name, prn, cells)
+    spectrum = (cells / window * np.conj(scipy.fft.fft(replica, window))).astype(np.complex64)
     spectrum.flags.writeable = False
     return spectrum
 
@@ -175,21 +198,22 @@ def code_spectrum(signal_name: str, prn: int, cells: int) -> Complex64Array:
 def doppler_rows(
     periods: Periods, dopplers_hz: FloatArray, coherent: int
 ) -> Iterator[tuple[FloatArray, Complex64Array]]:
-    """Spectra of coherent blocks, (blocks, rows, cells), one group of Dopplers after another."""
+    """Spectra of coherent blocks, (blocks, rows, window), one group of Dopplers after another."""
     period_s = periods.signal.period_s
+    bin_hz = periods.cells / (periods.window * period_s)
     blocks = periods.samples.shape[0] // coherent
-    wavenumber = scipy.fft.fftfreq(periods.cells)
-    half_bins = np.rint(2.0 * period_s * dopplers_hz).astype(np.int64)
+    wavenumber = scipy.fft.fftfreq(periods.window)
+    half_bins = np.rint(2.0 * dopplers_hz / bin_hz).astype(np.int64)
     within = np.arange(coherent) * period_s
     middles = (np.arange(blocks) + 0.5) * coherent * period_s
     for half_bin in np.unique(half_bins):
         group = dopplers_hz[half_bins == half_bin]
         shift, half = divmod(int(half_bin), 2)
-        source = periods.spectra[half].reshape(blocks, coherent, periods.cells)
+        source = periods.spectra[half].reshape(blocks, coherent, periods.window)
         weights = np.exp(-2j * np.pi * group[:, np.newaxis] * within).astype(np.complex64)
         rows = np.roll(weights @ source, -shift, axis=2)
         # Where the code stands in the middle of each block, against that at the start.
-        drift = middles * (0.5 * half_bin / period_s) * periods.cells_per_hz_s
+        drift = middles * (0.5 * half_bin * bin_hz) * periods.cells_per_hz_s
         rows *= np.exp(-2j * np.pi * drift[:, np.newaxis] * wavenumber).astype(np.complex64)[
             :, np.newaxis
         ]
@@ -229,8 +253,10 @@ class GridSearch:
         window: SearchWindow | None,
     ) -> None:
         self.prn = prn
+        self._cells_searched = periods.cells
         self._circular_hz = 0.6 / coherent_s
-        self._code = code_spectrum(periods.signal.id.name, prn, periods.cells)
+        self._code = code_spectrum(periods.signal.id.name, prn, periods.cells, periods.window)
+        self._valid = slice(periods.window - periods.cells, None)
         self._stride = max(1, rows * periods.cells // _NOISE_CELLS) | 1
         self._noise: list[NDArray[np.float32]] = []
         self._allowed = np.arange(periods.cells)
@@ -245,13 +271,15 @@ class GridSearch:
         self._highest: list[NDArray[np.float32]] = []  # within the window
         self._means: list[FloatArray] = []  # of whole rows, without the share of their peak
         # A peak's triangle and side lobes, as cells of its height (Parseval of |code|²).
-        spectrum = np.abs(self._code.astype(np.complex128)) ** 2
+        code = code_spectrum(periods.signal.id.name, prn, periods.cells, periods.cells)
+        spectrum = np.abs(code.astype(np.complex128)) ** 2
         self._own = spectrum.size * (spectrum**2).sum() / spectrum.sum() ** 2
 
     def add(self, dopplers_hz: FloatArray, rows: Complex64Array) -> None:
         """Search one group of Doppler rows."""
         correlations = scipy.fft.fft(rows * self._code, overwrite_x=True)
-        power = np.empty((dopplers_hz.size, rows.shape[2]), dtype=np.float32)
+        correlations = np.ascontiguousarray(correlations[:, :, self._valid])
+        power = np.empty((dopplers_hz.size, correlations.shape[2]), dtype=np.float32)
         totals = np.empty(dopplers_hz.size)
         sum_power(correlations, power, totals)
         self._noise.append(power.reshape(-1)[:: self._stride].copy())
@@ -262,7 +290,7 @@ class GridSearch:
         self._dopplers_hz.append(dopplers_hz)
         self._cells.append(self._allowed[columns])
         self._highest.append(searched[np.arange(columns.size), columns])
-        whole = rows.shape[2]
+        whole = power.shape[1]
         self._means.append((totals - self._own * power.max(axis=1)) / (whole - self._own))
 
     def peak(self, blocks: int) -> Peak:
@@ -276,7 +304,7 @@ class GridSearch:
         noise = max(noise, float(np.finfo(np.float64).tiny))  # a recording of zeros
         highest = np.concatenate(self._highest).astype(np.float64) / noise
         excess = np.concatenate(self._means) / noise - 1.0
-        excess -= 3.0 * np.sqrt(self._own / (self._code.size * blocks))  # by chance
+        excess -= 3.0 * np.sqrt(self._own / (self._cells_searched * blocks))  # by chance
         leaks = _LEAK_PEAK * np.maximum(excess, 0.0)
         ratios = np.maximum(np.sqrt(highest) - np.sqrt(leaks), 0.0) ** 2
         dopplers_hz = np.concatenate(self._dopplers_hz)

@@ -7,6 +7,7 @@ observables turn its sign (see `observables`).
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +41,14 @@ from deepgnss.receiver.modes import (
     unaided,
 )
 from deepgnss.receiver.signals import Signal, code_runs
-from deepgnss.receiver.sync import BitSync, add_prompts, demodulate, start_bit_sync, symbol_edge
+from deepgnss.receiver.sync import (
+    BitSync,
+    add_prompts,
+    decided_signs,
+    demodulate,
+    start_bit_sync,
+    symbol_edge,
+)
 from deepgnss.receiver.trackers import (
     NO_CORRECTION,
     Accumulated,
@@ -58,7 +66,7 @@ from deepgnss.receiver.trackers import (
 
 _REMEMBERED_S = 4.0  # prompts of a frequency-locked stretch kept for bit sync
 _HYSTERESIS_DB = 2.0  # below the threshold of phase lock before it is given up
-_HISTORY_SYMBOLS = 3  # commands kept for observables of the epoch before
+_HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
 
 
 class Interval(NamedTuple):
@@ -115,8 +123,9 @@ class Channel:
         self._sample_chips = signal.id.chip_rate_hz / sample_rate_hz
         self._length = float(signal.id.code_chips)
         self._margin = 4 + int(2.0 * settings.spacing_chips / self._sample_chips)
-        self._history = int(_HISTORY_SYMBOLS * signal.symbol_s * sample_rate_hz)
-        self._bit_sync: BitSync = start_bit_sync(signal.symbol_periods)
+        self._history = int(_HISTORY_UPDATES * signal.update_s * sample_rate_hz)
+        self._coded = bool(signal.secondary_code)
+        self._bit_sync: BitSync = start_bit_sync(signal.secondary, coded=self._coded)
         self._prompts: list[ComplexArray] = []  # of frequency lock, on the carrier again
         self._prompts_first = 0
         self._bit_sync_first = 0
@@ -126,15 +135,17 @@ class Channel:
         self._aiding = NO_AIDING
         self._since = sample  # sample of the last change of mode
         self._carrier_trackers: dict[Mode, Tracker] = {
-            Mode.PULL_IN: FrequencyLock(settings.pull_in_bandwidth_hz),
+            Mode.PULL_IN: FrequencyLock(settings.pull_in_bandwidth_hz, squared=self._coded),
             Mode.FREQUENCY: FrequencyLock(
                 settings.frequency_bandwidth_hz, signal.symbol_periods // 4
             ),
             Mode.PHASE: PhaseLock(settings.carrier_order, settings.carrier_bandwidth_hz),
         }
+        self._blind_tracker = FrequencyLock(settings.frequency_bandwidth_hz, squared=True)
         self._phase_since = sample
         self._phase_valid = False
         self._frequency_error_hz = 0.0
+        self._acquired_hz = doppler_hz
 
         self._restart_code_loop(sample)
         self.periods = 0
@@ -173,10 +184,10 @@ class Channel:
             self._plan()
 
     def _plan(self) -> None:
-        """Length of the next interval in code periods, and whether it lies within one symbol."""
-        periods = self.signal.symbol_periods
+        """Length of the next interval in code periods, and whether its signs are known."""
+        periods = self.signal.update_periods
         if self.edge is not None:
-            to_edge = (self.edge - self.periods) % periods
+            to_edge = (self.edge - self.periods) % self.signal.symbol_periods
             periods = to_edge % self._full or self._full
         self._coherent = self.edge is not None
         self._taken = np.empty((periods, self._taps.size), dtype=np.complex128)
@@ -206,10 +217,22 @@ class Channel:
         return reach(0.5 * periods * self._length), reach(periods * self._length)
 
     def _accumulate(self) -> Accumulated:
-        taps, period_s = self._taken, self.signal.period_s
+        period_s = self.signal.period_s
         if self.settings.record_correlations:
-            self.recorded.append(Correlations(self.command.sample, period_s, taps))
-        return accumulate(taps, period_s, self._coherent)
+            self.recorded.append(Correlations(self.command.sample, period_s, self._taken))
+        return accumulate(self._stripped(), period_s, self._coherent)
+
+    def _stripped(self) -> ComplexArray:
+        """Correlations without the secondary code, and without symbols where there are several."""
+        if self.edge is None or not self._coherent:
+            return self._taken
+        signal, count = self.signal, self._taken.shape[0]
+        size = signal.symbol_periods
+        signs = np.resize(np.roll(signal.secondary, (self.edge - self.periods) % size), count)
+        if count > size:
+            symbols = (self._taken[:, 1] * signs).reshape(-1, size).sum(axis=1)
+            signs *= np.repeat(decided_signs(symbols), size)
+        return np.asarray(self._taken * signs[:, np.newaxis])
 
     def _steer(
         self, seen: Accumulated, middle_s: float, end_s: float, aiding: AidingSource
@@ -265,13 +288,18 @@ class Channel:
     @property
     def _full(self) -> int:
         """Periods of an undivided interval; frequency is seen best over whole symbols."""
+        if self.mode is not Mode.PHASE:
+            return self.signal.update_periods
         symbol = self.signal.symbol_periods
-        if self.mode is Mode.PHASE:
-            return min(round(self.settings.coherent_s / self.signal.period_s), symbol)
-        return symbol
+        periods = min(
+            round(self.settings.coherent_s / self.signal.period_s), self.signal.update_periods
+        )
+        return periods if periods < symbol else periods // symbol * symbol
 
     @property
     def _carrier_tracker(self) -> Tracker:
+        if self._coded and self.edge is None and self.mode is not Mode.PULL_IN:
+            return self._blind_tracker
         return self._carrier_trackers.get(self.mode, self._carrier_trackers[Mode.FREQUENCY])
 
     def _restart_code_loop(self, sample: int) -> None:
@@ -309,19 +337,22 @@ class Channel:
             return
         if not self._prompts:
             self._prompts_first = self.periods - seen.periods.shape[0]
-        self._prompts.append(seen.periods[:, 1] * self._carrier_turns(seen.periods.shape[0]))
-        if len(self._prompts) * self.signal.symbol_s > _REMEMBERED_S:
+        prompts = self._taken[:, 1]
+        self._prompts.append(prompts * self._carrier_turns(prompts.size))
+        if len(self._prompts) * self.signal.update_s > _REMEMBERED_S:
             self._prompts_first += self._prompts.pop(0).size
         if self.edge is None:
             first = self._prompts_first if self._bit_sync.symbols == 0 else self._bit_sync_first
             self._bit_sync_first = first
             self._bit_sync = add_prompts(
-                self._bit_sync, seen.periods[:, 1], self.locks.signal, self.locks.noise
+                self._bit_sync, prompts, self.locks.signal, self.locks.noise
             )
             edge = symbol_edge(self._bit_sync)
-            if edge is not None:
+            if edge is not None and edge.alternating:
+                self._leave_alternating_lock()
+            elif edge is not None:
                 symbols = self._bit_sync.symbols
-                self.set_edge(self._bit_sync_first + edge, f"{symbols} symbols")
+                self.set_edge(self._bit_sync_first + edge.period, f"{symbols} symbols")
 
     def _carrier_turns(self, periods: int) -> ComplexArray:
         """Carrier the generator ran in the middles of the periods of the interval just over."""
@@ -333,7 +364,7 @@ class Channel:
     def _whole_symbol(self, seen: Accumulated) -> Accumulated | None:
         """Intervals put together to a symbol for the lock detectors; None while it is not full."""
         size = self.signal.symbol_periods
-        if self.edge is None or seen.periods.shape[0] == size:
+        if self.edge is None or seen.periods.shape[0] >= size:
             return seen
         self._pieces.append(seen.periods)
         if (self.periods - self.edge) % size:
@@ -359,7 +390,7 @@ class Channel:
         back_s = self.signal.period_s * (np.arange(prompts.size) + 0.5 - prompts.size)
         prompts *= np.exp(-2j * np.pi * (self._carrier.frequency * back_s + self._carrier.phase))
         skip = (edge - self._prompts_first) % size
-        seen = demodulate(prompts[skip:].reshape(-1, size).sum(axis=1))
+        seen = demodulate(prompts[skip:].reshape(-1, size) @ self.signal.secondary)
         self.symbols = seen.symbols
         self.symbols_first = self._prompts_first + skip
         self._carrier = self._carrier._replace(
@@ -372,6 +403,10 @@ class Channel:
         if self.mode is not Mode.PHASE or self.edge is None:
             return
         size = self.signal.symbol_periods
+        if seen.periods.shape[0] > size:  # none has a secondary code
+            symbols = self._taken[:, 1].reshape(-1, size).sum(axis=1)
+            self.symbols.extend(int(negative) for negative in symbols.real < 0.0)
+            return
         self._symbol_sum += seen.prompt
         self._symbol_periods += seen.periods.shape[0]
         if (self.periods - self.edge) % size == 0:
@@ -447,6 +482,17 @@ class Channel:
         self._since = self.command.sample
         self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
 
+    def _leave_alternating_lock(self) -> None:
+        """Frequency lock blind to signs also holds ±1/2T off: go to the side acquisition saw."""
+        off_hz = math.copysign(
+            0.5 / self.signal.period_s, self._acquired_hz - self._carrier.frequency
+        )
+        self._carrier = self._carrier._replace(frequency=self._carrier.frequency + off_hz)
+        self.command = self._command(self.command.sample, self.command.code_chips)
+        self._prompts = []
+        self._bit_sync = start_bit_sync(self.signal.secondary, coded=self._coded)
+        self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
+
     def _forget_phase(self) -> None:
         """Phase continues with an unknown number of cycles and an unknown polarity."""
         self.slips += 1
@@ -466,7 +512,7 @@ class Channel:
         self.command = self._command(self.command.sample, self.command.code_chips)
         if mode is Mode.FREQUENCY:
             self._prompts = []
-            self._bit_sync = start_bit_sync(self.signal.symbol_periods)
+            self._bit_sync = start_bit_sync(self.signal.secondary, coded=self._coded)
         if self.mode is Mode.HOLD:
             self._restart_code_loop(self.command.sample)
         self._frequency_error_hz = 0.0
@@ -539,7 +585,9 @@ class Channel:
             if self._aiding != NO_AIDING
             else 0.0,
             lock_time_s=self._seconds_since(self._phase_since) if self._phase_valid else 0.0,
-            coherent_s=self._full * self.signal.period_s if self.edge is not None else 0.001,
+            coherent_s=min(self._full, self.signal.symbol_periods) * self.signal.period_s
+            if self.edge is not None
+            else self.signal.period_s,
             carrier_bandwidth_hz=self.settings.carrier_bandwidth_hz
             if phase
             else self.settings.frequency_bandwidth_hz,

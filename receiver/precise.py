@@ -192,7 +192,7 @@ def measure(
     offsets = np.linspace(-_REACH_CHIPS, _REACH_CHIPS, 2 * around + 1)
     for attempt in range(4):
         c = correlate_snapshot(block, signal, prn, doppler_hz, code_chips % length, offsets)
-        fit = fit_symbols(c.sums[:, offsets.size // 2], c.times_s, signal.symbol_periods, span_hz)
+        fit = fit_symbols(c.sums[:, offsets.size // 2], c.times_s, signal.secondary, span_hz)
         taps = fit.strip(c.sums, c.times_s).sum(axis=0)
         doppler_hz += fit.doppler_hz
         span_hz = min(span_hz, 5.0)
@@ -239,7 +239,7 @@ def look(
         block, signal, prn, doppler_hz, code_chips % signal.id.code_chips, offsets
     )
     fits = [
-        fit_symbols(c.sums[:, tap], c.times_s, signal.symbol_periods, doppler_half_hz)
+        fit_symbols(c.sums[:, tap], c.times_s, signal.secondary, doppler_half_hz)
         for tap in range(offsets.size)
     ]
     best = max(range(offsets.size), key=lambda tap: fits[tap].score)

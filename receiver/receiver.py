@@ -27,13 +27,14 @@ from deepgnss.core.records import (
     RunningSums,
 )
 from deepgnss.core.time import GpsTime
-from deepgnss.receiver import framing, lnav, pvt
+from deepgnss.receiver import framing, pvt
 from deepgnss.receiver.accounts import Accounts
 from deepgnss.receiver.acquisition import AcquisitionSettings
 from deepgnss.receiver.bank import Bank, Head
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock, from_ns
 from deepgnss.receiver.feed import SumFeed
+from deepgnss.receiver.messages import Frame, News, Subframe
 from deepgnss.receiver.modes import AidingSource, Mode, TrackingSettings, unaided
 from deepgnss.receiver.search import Place, SearchSettings
 from deepgnss.receiver.signals import Signal
@@ -84,7 +85,7 @@ class StepResult:
     fixes: tuple[Fix, ...]
     reports: tuple[ChannelReport, ...]
     events: tuple[Event, ...]
-    subframes: tuple[tuple[str, lnav.Subframe], ...]
+    subframes: tuple[tuple[str, Subframe], ...]
     correlations: Mapping[str, tuple[Correlations, ...]]
 
 
@@ -241,8 +242,8 @@ class Receiver:
 
     # --- messages and time ---------------------------------------------------------------------
 
-    def _read_messages(self) -> tuple[tuple[str, lnav.Subframe], ...]:
-        subframes: list[tuple[str, lnav.Subframe]] = []
+    def _read_messages(self) -> tuple[tuple[str, Subframe], ...]:
+        subframes: list[tuple[str, Subframe]] = []
         for bank in self.banks:
             for news in bank.read_messages(self._date()):
                 satellite = news.channel.satellite
@@ -306,7 +307,7 @@ class Receiver:
         elapsed_ns = round(channel.command.sample / bank.rate_hz * NS)
         return sent_ns + round(_TRAVEL_S * NS) - elapsed_ns
 
-    def _settle(self, bank: Bank, channel: Channel, frame: lnav.Frame, anchor: int) -> None:
+    def _settle(self, bank: Bank, channel: Channel, frame: Frame, anchor: int) -> None:
         if channel.anchor is not None and channel.anchor != anchor:
             detail = f"frame says {anchor - channel.anchor:+d} code periods"
             self._note(bank, channel, "time corrected", detail)
@@ -319,7 +320,7 @@ class Receiver:
             origin_ns = self._origin_ns(bank, channel, anchor)
             self.clock = ReceiverClock(self._rate, origin_ns, uncertainty_s=_TIME_GUESS_S)
 
-    def _is_copy(self, bank: Bank, channel: Channel, item: Ephemeris | lnav.IonoUtc) -> bool:
+    def _is_copy(self, bank: Bank, channel: Channel, item: News) -> bool:
         """True, and the channel dropped, when it reads another satellite's message.
 
         A channel locked to the cross-correlation of a strong satellite decodes that one's orbit;
@@ -366,7 +367,7 @@ class Receiver:
         """
         if self.clock is None:
             return []
-        lag = int(1.25 * max(bank.signal.symbol_s for bank in self.banks) * self._rate)
+        lag = int(1.25 * max(bank.signal.update_s for bank in self.banks) * self._rate)
         first, end = first - lag, end - lag
         begin_ns, end_ns = (
             self.clock.origin_ns + round(self.clock.gpst_ns(sample)) for sample in (first, end)

@@ -16,17 +16,16 @@ class SymbolFit(NamedTuple):
     score: float  # power of the coherent sum, or a sum of powers over far apart symbols
     doppler_hz: float  # against the one wiped off
     starts: NDArray[np.int64]  # first period of every symbol
-    signs: FloatArray  # ±1 of every symbol against the first
+    signs: FloatArray  # ±1 of every code period: its symbol's, times its secondary chip
 
     def strip(self, sums: ComplexArray, times_s: FloatArray) -> ComplexArray:
         """Sums (periods, …) without Doppler and signs."""
-        lengths = np.diff(np.append(self.starts, len(sums)))
-        turn = np.exp(-2j * np.pi * self.doppler_hz * times_s) * np.repeat(self.signs, lengths)
+        turn = np.exp(-2j * np.pi * self.doppler_hz * times_s) * self.signs
         return np.asarray(sums * turn.reshape(-1, *[1] * (sums.ndim - 1)))
 
 
 def fit_symbols(
-    prompt: ComplexArray, times_s: FloatArray, symbol_periods: int, span_hz: float
+    prompt: ComplexArray, times_s: FloatArray, secondary: FloatArray, span_hz: float
 ) -> SymbolFit:
     """Most likely Doppler over all places the symbol edges may have.
 
@@ -34,9 +33,11 @@ def fit_symbols(
     powers alone would mistake a change of sign for a frequency (±1/2T) as often as not.
 
     Parameters: prompt correlations of consecutive code periods and the times of their middles,
-    shape (periods,); Doppler is sought within ±span_hz.
+    shape (periods,); secondary chips of a symbol's periods, all 1 where there is no such code.
+    Doppler is sought within ±span_hz.
     """
     count = prompt.size
+    symbol_periods = secondary.size
     longest = min(count, symbol_periods)
     period_s = (times_s[-1] - times_s[0]) / (count - 1) if count > 1 else 1e-3
     step_hz = min(0.125 / (longest * period_s), max(span_hz, 1e-3))
@@ -44,11 +45,13 @@ def fit_symbols(
     dopplers = np.arange(-reach, reach + 1) * step_hz
     turned = prompt * np.exp(-2j * np.pi * dopplers[:, np.newaxis] * times_s)
     fits = []
-    for edge in range(longest):
+    coded = bool(np.any(secondary != 1.0))
+    for edge in range(symbol_periods if coded else longest):
         starts = np.arange(edge, count, symbol_periods)
         if edge:
-            starts = np.concatenate([[0], starts])
-        symbols = np.add.reduceat(turned, starts, axis=1)
+            starts = np.concatenate([[0], starts]).astype(np.int64)
+        chips = np.resize(np.roll(secondary, edge), count)
+        symbols = np.add.reduceat(turned * chips if coded else turned, starts, axis=1)
         pairs = (symbols[:, 1:] * symbols[:, :-1].conj()).real
         score = (symbols.real**2 + symbols.imag**2).sum(axis=1) + 2.0 * abs(pairs).sum(axis=1)
         top = int(score[1:-1].argmax()) + 1
@@ -57,5 +60,6 @@ def fit_symbols(
         offset = 0.5 * (left - right) / curvature if curvature < 0.0 and mid >= left else 0.0
         doppler_hz = float(dopplers[top] + min(max(offset, -1.0), 1.0) * step_hz)
         signs = np.cumprod(np.append(1.0, np.where(pairs[top] < 0.0, -1.0, 1.0)))
-        fits.append(SymbolFit(float(mid), doppler_hz, starts, signs))
+        lengths = np.diff(np.append(starts, count))
+        fits.append(SymbolFit(float(mid), doppler_hz, starts, chips * np.repeat(signs, lengths)))
     return max(fits, key=lambda fit: fit.score)

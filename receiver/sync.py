@@ -7,6 +7,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.special import i0e
 
 from deepgnss.core.records import ComplexArray, FloatArray
@@ -18,14 +19,28 @@ _STEPS = 256  # of rotation tried
 class BitSync(NamedTuple):
     """Log-likelihood of each possible edge, and what is not summed yet."""
 
-    likelihood: FloatArray  # (periods per symbol,)
+    patterns: FloatArray  # (patterns, periods per symbol): signs that the periods may have
+    likelihood: FloatArray  # (patterns, periods per symbol)
     symbols: int
     pending: ComplexArray  # prompts of the last, incomplete stretch
 
 
-def start_bit_sync(symbol_periods: int) -> BitSync:
-    """Empty state."""
-    return BitSync(np.zeros(symbol_periods), 0, np.empty(0, dtype=np.complex128))
+class Edge(NamedTuple):
+    """Where symbols start."""
+
+    period: int  # modulo the symbol's length, from the first prompt on
+    alternating: bool  # every other period was upside down: the frequency is off by 1/2T
+
+
+def start_bit_sync(secondary: FloatArray, *, coded: bool) -> BitSync:
+    """Empty state for symbols whose code periods have these signs.
+
+    With a secondary code (`coded`) the frequency was found blind to signs and may be off by half
+    the period's rate, ±500 Hz, which turns every other sign: that is tried as well.
+    """
+    alternating = secondary * (-1.0) ** np.arange(secondary.size)
+    patterns = np.array([secondary, alternating] if coded else [secondary])
+    return BitSync(patterns, np.zeros(patterns.shape), 0, np.empty(0, dtype=np.complex128))
 
 
 def add_prompts(
@@ -36,30 +51,33 @@ def add_prompts(
     The likelihood of a symbol-long sum S of unknown phase is I₀(A|S|/σ²), A² the signal's and 2σ²
     the noise's power in one period. For weak signals its logarithm is their energy, T(5.16–5.17);
     for strong ones it counts the few symbol changes there were for what they are worth.
-    likelihood[p] belongs to symbols that start at period p, counted from the first prompt.
+    likelihood[:, p] belongs to symbols that start at period p, counted from the first prompt.
     """
-    size = state.likelihood.size
+    size = state.likelihood.shape[1]
     waiting = np.concatenate([state.pending, prompts])
     likelihood, symbols = state.likelihood, state.symbols
     scale = 2.0 * math.sqrt(max(signal_power, 0.0)) / noise_power if noise_power > 0.0 else 0.0
     while waiting.size >= 2 * size:
-        total = np.concatenate([[0.0], np.cumsum(waiting[: 2 * size])])
-        argument = scale * np.abs(total[size : 2 * size] - total[:size])
+        windows = sliding_window_view(waiting[: 2 * size - 1], size)
+        argument = scale * np.abs(state.patterns @ windows.T)
         likelihood = likelihood + argument + np.log(i0e(argument))
         symbols += 1
         waiting = waiting[size:]
-    return BitSync(likelihood, symbols, waiting)
+    return state._replace(likelihood=likelihood, symbols=symbols, pending=waiting)
 
 
-def symbol_edge(state: BitSync, lead: float = 18.0, minimum: int = 6) -> int | None:
-    """Period of the symbol edge (mod symbol length) once it stands out, else None.
+def symbol_edge(state: BitSync, lead: float = 18.0, minimum: int = 6) -> Edge | None:
+    """The symbol edge once it stands out, else None.
 
     `lead`: how much more likely (natural logarithm) it must be than any other.
     """
     if state.symbols < minimum:
         return None
-    second, best = np.sort(state.likelihood)[-2:]
-    return int(np.argmax(state.likelihood)) if best - second > lead else None
+    second, best = np.sort(state.likelihood, axis=None)[-2:]
+    if best - second <= lead:
+        return None
+    pattern, period = np.unravel_index(np.argmax(state.likelihood), state.likelihood.shape)
+    return Edge(int(period), bool(pattern))
 
 
 class Demodulated(NamedTuple):
@@ -90,10 +108,17 @@ def demodulate(sums: ComplexArray) -> Demodulated:
     return Demodulated(symbols, (phase - step) / turn, step / turn)
 
 
+def decided_signs(sums: ComplexArray) -> FloatArray:
+    """Signs ±1 of consecutive symbol sums (n,) up to a common one, whatever their rotation."""
+    phase, step = _rotation(sums)
+    turned = sums * np.exp(-1j * (phase + step * np.arange(sums.size)))
+    return np.where(turned.real < 0.0, -1.0, 1.0)
+
+
 def _rotation(sums: ComplexArray) -> tuple[float, float]:
     """Most likely phase of the first symbol and step per symbol, rad, whatever the signs.
 
-    The step lies within ± a quarter turn: 12.5 Hz for symbols of 20 ms.
+    The step lies within ± a quarter turn: 12.5 Hz for symbols of 20 ms, 125 Hz for 2 ms.
     """
     if sums.size == 0:
         return 0.0, 0.0
