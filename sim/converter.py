@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepgnss.core.jit import kernel
+from deepgnss.core.records import FloatArray
 from deepgnss.io.formats import VALUE_BITS
 from deepgnss.sim.scenario import FrontEnd
 
@@ -27,6 +28,15 @@ def step_over_sigma(bits: int) -> float:
     if bits in _BEST_STEP:
         return _BEST_STEP[bits]
     return max(_HEADROOM / 2.0 ** (bits - 1), _FINE_STEP)
+
+
+def levels(bits: int) -> tuple[FloatArray, FloatArray]:
+    """Values a converter puts out, rising, and the thresholds between them in steps."""
+    if bits <= _ODD_LEVELS_TO:
+        half = 2 ** (bits - 1)
+        return np.arange(1.0 - 2 * half, 2 * half, 2.0), np.arange(1.0 - half, half)
+    top = 2 ** (bits - 1) - 1
+    return np.arange(-top, top + 1.0), np.arange(-top, top) + 0.5
 
 
 def convert(samples: NDArray[np.float32], sigma: float, front_end: FrontEnd) -> bytes:

@@ -8,24 +8,22 @@ value depends on nothing but its number.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Final, NamedTuple
+from threading import Lock
+from typing import NamedTuple
 
 import numpy as np
 import pymap3d
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
-from deepgnss.core.frames import C_ne
+from deepgnss.core.frames import C_ne, ecef
 from deepgnss.core.records import FloatArray
-from deepgnss.sim.atmosphere import ionosphere_m, troposphere_m
+from deepgnss.sim.atmosphere import ionosphere_of, troposphere_m
+from deepgnss.sim.clock import NODES_PER_SECOND, clock_error
+from deepgnss.sim.motion.vehicle import Vehicle
 from deepgnss.sim.orbits import Orbit, Travel, orbit_of, travel
-from deepgnss.sim.scenario import Emitter, ReceiverClock, Scenario
-from deepgnss.sim.trajectory import Trajectory
-
-NODES_PER_SECOND: Final = 1000
-_MARGIN_S: Final = 2  # seconds of clock noise known before the start and after the end
+from deepgnss.sim.scenario import Emitter, Scenario, View
 
 
 class Reception(NamedTuple):
@@ -44,28 +42,53 @@ class Reception(NamedTuple):
     elevation_rad: FloatArray
 
 
-class Nodes(NamedTuple):
-    """Delays at consecutive nodes, s, each (emitters, nodes)."""
+class Place(NamedTuple):
+    """Where an antenna is at true times (n,)."""
 
-    code_s: FloatArray
+    t_s: FloatArray
+    r_e_m: FloatArray  # (n, 3)
+    lat_rad: FloatArray
+    lon_rad: FloatArray
+    height_m: FloatArray
+
+
+class Nodes(NamedTuple):
+    """Delays at consecutive nodes, and what arrives on each path from a node to the next.
+
+    Path 0 is the line of sight, the others are reflected rays, in the order of `Arrivals`.
+    """
+
+    code_s: FloatArray  # (emitters, nodes), of the line of sight
     carrier_s: FloatArray
+    factor: FloatArray  # (emitters, paths, nodes), amplitude against the free line of sight
+    excess_s: FloatArray  # (emitters, paths, nodes), further delay of code and carrier
+
+
+def place_of(scenario: Scenario, t_s: FloatArray, antenna: int = 0) -> Place:
+    """Where an antenna is at true times (n,), in s from the start."""
+    r_e_m = scenario.vehicle.point(t_s, scenario.antennas[antenna].lever_b_m).r_m
+    return Place(t_s, r_e_m, *pymap3d.ecef2geodetic(*r_e_m.T, deg=False))
 
 
 def receive(
     scenario: Scenario, emitter: Emitter, orbit: Orbit, t_s: FloatArray, antenna: int = 0
 ) -> Reception:
-    """What reaches an antenna at true times (n,), in s from the start."""
-    r_e_m = scenario.vehicle.point(t_s, scenario.antennas[antenna].lever_b_m).r_m
+    """What reaches an antenna on the line of sight at true times (n,), in s from the start."""
+    return receive_at(scenario, emitter, orbit, place_of(scenario, t_s, antenna))
+
+
+def receive_at(scenario: Scenario, emitter: Emitter, orbit: Orbit, place: Place) -> Reception:
+    """What reaches an antenna on the line of sight where it is known to be."""
+    t_s, r_e_m, lat, lon, height = place
     path = travel(orbit, t_s, r_e_m)
-    lat, lon, height = pymap3d.ecef2geodetic(*r_e_m.T, deg=False)
     azimuth, elevation = look(scenario.vehicle, path, r_e_m)
     carrier_hz = emitter.signal.id.carrier_hz
     nothing = np.zeros(t_s.size)
     iono = tropo = nothing
     if scenario.ionosphere:
         tow_s = scenario.start.tow_s + t_s
-        model = scenario.nav.klobuchar["G"]
-        iono = ionosphere_m(model, lat, lon, azimuth, elevation, tow_s, carrier_hz)
+        seen = lat, lon, azimuth, elevation
+        iono = ionosphere_of(scenario.nav.klobuchar, emitter.signal.id, *seen, tow_s)
     if scenario.troposphere:
         tropo = troposphere_m(lat, height, elevation)
     clock_m = SPEED_OF_LIGHT_MPS * path.satellite_clock_s
@@ -82,60 +105,61 @@ def receive(
     )
 
 
-def look(place: Trajectory, path: Travel, r_e_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Azimuth in [0, 2π) and elevation, rad, in the local frame of the trajectory's origin."""
-    los = (path.satellite_e_m - r_e_m) @ C_ne(place.latitude_rad, place.longitude_rad).T
+def look(vehicle: Vehicle, path: Travel, r_e_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Azimuth in [0, 2π) and elevation, rad, in the local frame of the vehicle's place."""
+    los = (path.satellite_e_m - r_e_m) @ C_ne(vehicle.latitude_rad, vehicle.longitude_rad).T
     azimuth = np.mod(np.arctan2(los[:, 1], los[:, 0]), 2.0 * np.pi)
     return azimuth, np.arctan2(-los[:, 2], np.hypot(los[:, 0], los[:, 1]))
 
 
-def clock_error(clock: ReceiverClock, seconds: float, seed: int) -> FloatArray:
-    """Clock error, s, at every node from 2 s before sample 0 to 2 s after the end.
-
-    White frequency noise adds steps of variance h0·dt/2 to the phase, the random walk steps of
-    2π²·h₋₂·dt to the frequency.
-    """
-    dt = 1.0 / NODES_PER_SECOND
-    nodes = (math.ceil(seconds) + 2 * _MARGIN_S) * NODES_PER_SECOND
-    t_s = np.arange(nodes) * dt - _MARGIN_S
-    error = np.asarray(clock.offset_s + clock.drift_sps * t_s, dtype=np.float64)
-    if clock.oscillator is not None:
-        _, h0_s, _, h_2_hz, _ = clock.oscillator
-        random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0xC10C])))
-        white = random.standard_normal(nodes) * math.sqrt(h0_s * dt / 2.0)
-        walk = random.standard_normal(nodes) * math.sqrt(2.0 * math.pi**2 * h_2_hz * dt)
-        noise = np.cumsum(white + np.cumsum(walk) * dt)
-        error = error + noise - noise[_MARGIN_S * NODES_PER_SECOND]
-    return error
+def view_of(scenario: Scenario, emitter: Emitter, place: Place, truth: Reception) -> View:
+    """What surroundings ask about a satellite seen from a place."""
+    vehicle = scenario.vehicle
+    origin_e_m = ecef(vehicle.latitude_rad, vehicle.longitude_rad, vehicle.height_m)
+    r_n_m = (place.r_e_m - origin_e_m) @ C_ne(vehicle.latitude_rad, vehicle.longitude_rad).T
+    return View(emitter.satellite, place.t_s, r_n_m, truth.azimuth_rad, truth.elevation_rad)
 
 
-def node_source(scenario: Scenario) -> Callable[[int, int], Nodes]:
-    """Function that gives the delays at nodes [first, end); node k lies at k ms of `sample_s`.
+def node_source(scenario: Scenario, antenna: int = 0) -> Callable[[int, int], Nodes]:
+    """Function that gives an antenna's nodes [first, end); node k lies at k ms of `sample_s`.
 
     It keeps the last few seconds, so that walking through a recording computes each once; it may
     be called from several threads.
     """
-    clock_s = clock_error(scenario.clock, scenario.seconds, scenario.seed)
+    clock = clock_error(scenario.clock, scenario.seed, scenario.vehicle)
     orbits = [orbit_of(scenario.orbit_set(e.satellite), scenario.start) for e in scenario.emitters]
+    lock = Lock()
 
     @lru_cache(maxsize=6)
     def second(number: int) -> Nodes:
         sample_s = number + np.arange(NODES_PER_SECOND) / NODES_PER_SECOND
-        at = (number + _MARGIN_S) * NODES_PER_SECOND
-        error_s = clock_s[at : at + NODES_PER_SECOND]
-        code_s = np.empty((len(scenario.emitters), NODES_PER_SECOND))
-        carrier_s = np.empty_like(code_s)
+        error_s = clock(number)
+        place = place_of(scenario, sample_s - error_s, antenna)
+        paths = 1 if scenario.surroundings is None else 1 + scenario.surroundings.rays
+        shape = (len(scenario.emitters), NODES_PER_SECOND)
+        out = Nodes(np.empty(shape), np.empty(shape), *np.zeros((2, shape[0], paths, shape[1])))
         for row, (emitter, orbit) in enumerate(zip(scenario.emitters, orbits, strict=True)):
-            truth = receive(scenario, emitter, orbit, sample_s - error_s)
-            code_s[row] = error_s + truth.pseudorange_m / SPEED_OF_LIGHT_MPS
-            carrier_s[row] = error_s + truth.carrier_cycles / emitter.signal.id.carrier_hz
-        return Nodes(code_s, carrier_s)
+            carrier_hz = emitter.signal.id.carrier_hz
+            truth = receive_at(scenario, emitter, orbit, place)
+            out.code_s[row] = error_s + truth.pseudorange_m / SPEED_OF_LIGHT_MPS
+            out.carrier_s[row] = error_s + truth.carrier_cycles / carrier_hz
+            if scenario.surroundings is None:
+                out.factor[row] = 1.0
+                continue
+            view = view_of(scenario, emitter, place, truth)
+            arrivals = scenario.surroundings.arrivals(view, carrier_hz)
+            out.factor[row, 0], out.factor[row, 1:] = arrivals.direct, arrivals.ray_amplitude
+            out.excess_s[row, 1:] = arrivals.ray_excess_m / SPEED_OF_LIGHT_MPS
+        return out
 
     def window(first: int, end: int) -> Nodes:
         numbers = range(first // NODES_PER_SECOND, (end - 1) // NODES_PER_SECOND + 1)
-        parts = [second(number) for number in numbers]
+        with lock:  # whoever comes second finds it done
+            parts = [second(number) for number in numbers]
         cut = slice(first - numbers[0] * NODES_PER_SECOND, end - numbers[0] * NODES_PER_SECOND)
-        return Nodes(*(np.concatenate(rows, axis=1)[:, cut] for rows in zip(*parts, strict=True)))
+        return Nodes(
+            *(np.concatenate(rows, axis=-1)[..., cut] for rows in zip(*parts, strict=True))
+        )
 
     return window
 

@@ -14,9 +14,11 @@ from deepgnss.core.records import GPS_L1CA, NavData, Oscillator
 from deepgnss.core.time import GpsTime
 from deepgnss.sim.constellation import nominal_gps
 from deepgnss.sim.delays import look
+from deepgnss.sim.motion.paths import Ellipse, Path, Static
+from deepgnss.sim.motion.profile import smooth_profile
+from deepgnss.sim.motion.vehicle import Vehicle
 from deepgnss.sim.orbits import nearest_set, orbit_of, travel
 from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario, Stream
-from deepgnss.sim.trajectory import Ellipse, Path, Static, Trajectory, smooth_profile
 
 _PLACE: Final = (math.radians(52.264), math.radians(10.526), 120.0)
 # Four seconds before a frame that brings page 18: ephemeris, ionosphere and UTC within 28 s.
@@ -108,15 +110,15 @@ def _scenario(
 ) -> Scenario:
     """The highest satellites over the common place, C/N0 by elevation."""
     nav = nominal_gps(_START, seconds)
-    trajectory = Trajectory(*_PLACE, path)
-    seen = elevations(nav, _START, trajectory)
+    vehicle = Vehicle(*_PLACE, path)
+    seen = elevations(nav, _START, vehicle)
     highest = sorted(seen, key=lambda satellite: -seen[satellite])[:satellites]
     visible = sorted(satellite for satellite in highest if seen[satellite] > _MASK_RAD)
     return Scenario(
         name=name,
         start=_START,
         seconds=seconds,
-        vehicle=trajectory,
+        vehicle=vehicle,
         emitters=tuple(Emitter(sat, ((0.0, cn0_dbhz(seen[sat])),)) for sat in visible),
         nav=nav,
         streams=(Stream("L1", front_end),),
@@ -125,13 +127,13 @@ def _scenario(
     )
 
 
-def elevations(nav: NavData, start: GpsTime, trajectory: Trajectory) -> dict[str, float]:
+def elevations(nav: NavData, start: GpsTime, vehicle: Vehicle) -> dict[str, float]:
     """Elevation of every GPS satellite of `nav` at the start, rad."""
     at_start = np.zeros(1)
-    r_e_m = trajectory.at(at_start).r_m
+    r_e_m = vehicle.point(at_start).r_m
     seen = {}
     for satellite, sets in nav.ephemerides.items():
         if satellite[0] == GPS_L1CA.system:
             path = travel(orbit_of(nearest_set(sets, start), start), at_start, r_e_m)
-            seen[satellite] = float(look(trajectory, path, r_e_m)[1][0])
+            seen[satellite] = float(look(vehicle, path, r_e_m)[1][0])
     return seen

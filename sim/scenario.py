@@ -14,8 +14,8 @@ from deepgnss.core.records import Ephemeris, FloatArray, NavData, Oscillator, Si
 from deepgnss.core.time import GpsTime
 from deepgnss.io.formats import VALUE_BITS, ValueFormat
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL, Signal
+from deepgnss.sim.motion.vehicle import Vehicle
 from deepgnss.sim.orbits import nearest_set
-from deepgnss.sim.trajectory import Trajectory as Vehicle
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,11 +25,12 @@ from deepgnss.receiver.signals import GPS_L1CA_SIGNAL
 from deepgnss.sim.constellation import nominal_gps
 from deepgnss.sim.delays import receive
 from deepgnss.sim.generator import recording
+from deepgnss.sim.motion.paths import Path, Static
+from deepgnss.sim.motion.vehicle import Vehicle
 from deepgnss.sim.navbits import lnav_symbols
 from deepgnss.sim.orbits import orbit_of
 from deepgnss.sim.presets import elevations
 from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario, Stream
-from deepgnss.sim.trajectory import Path, Static, Trajectory
 
 CHIP_HZ, CARRIER_HZ, CODE_CHIPS = GPS_L1CA.chip_rate_hz, GPS_L1CA.carrier_hz, 1023
 EPOCH_S = 0.1
@@ -114,7 +115,7 @@ def make_sky(
 ) -> Sky:
     """The highest satellites over a place, each with its C/N0 (or steps of it)."""
     nav = nominal_gps(start, seconds)
-    place = Trajectory(0.91, 0.18, 120.0, path or Static())
+    place = Vehicle(0.91, 0.18, 120.0, path or Static())
     seen = elevations(nav, start, place)
     highest = sorted(seen, key=lambda satellite: -seen[satellite])
     emitters = tuple(

@@ -98,7 +98,7 @@ def instants(scenario: Scenario, step_s: float) -> FloatArray:
 def _truth_rows(scenario: Scenario) -> Iterator[str]:
     """Antenna position and velocity, one row per instant of true time."""
     t_s = instants(scenario, _TRUTH_STEP_S)
-    motion = scenario.vehicle.at(t_s)
+    motion = scenario.vehicle.point(t_s)
     geodetic = np.column_stack(pymap3d.ecef2geodetic(*motion.r_m.T, deg=False))
     for t, (lat, lon, height), v_e in zip(t_s, geodetic, motion.v_mps, strict=True):
         north, east, down = C_ne(lat, lon) @ v_e + 0.0  # no -0.000000

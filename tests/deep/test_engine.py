@@ -31,7 +31,8 @@ from deepgnss.io.config import Config
 from deepgnss.receiver.clock import NS, to_ns
 from deepgnss.receiver.receiver import Fix, Knowledge, StepResult
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL
-from deepgnss.sim.trajectory import Line, smooth_profile
+from deepgnss.sim.motion.paths import Line
+from deepgnss.sim.motion.profile import smooth_profile
 
 SHORT_S = 5.7  # the first fixes are in it
 SUBFRAME_AT_S = 4.0  # the first whole one of the shared sky starts here
@@ -151,7 +152,7 @@ def test_a_fast_receiver_is_found_at_once_too() -> None:
 @pytest.mark.parametrize("run", [_causal, _scouted])
 def test_position_velocity_and_clock(run: object) -> None:
     sky = shared_sky()
-    truth_e_m = sky.scenario.vehicle.at(np.zeros(1)).r_m[0]
+    truth_e_m = sky.scenario.vehicle.point(np.zeros(1)).r_m[0]
     solutions = [f.solution for f in _fixes(run()[1]) if f.solution.valid]  # type: ignore[operator]
     late = solutions[15:]
     errors_m = np.array([s.r_e_m - truth_e_m for s in late])

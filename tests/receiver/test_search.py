@@ -30,7 +30,7 @@ def _place(sample: int) -> Place:
     sky = shared_sky()
     read_s = sample / sky.rate_hz
     error_s = sky.scenario.clock.offset_s + sky.scenario.clock.drift_sps * read_s
-    motion = sky.scenario.vehicle.at(np.array([read_s - error_s]))
+    motion = sky.scenario.vehicle.point(np.array([read_s - error_s]))
     return Place(
         sky.scenario.start.plus(read_s - error_s),
         motion.r_m[0],

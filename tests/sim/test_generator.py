@@ -16,12 +16,14 @@ from deepgnss.core.time import GpsTime
 from deepgnss.receiver.lnav import find_frames
 from deepgnss.receiver.signals import ca_code
 from deepgnss.sim.constellation import nominal_gps
-from deepgnss.sim.delays import clock_error, receive
+from deepgnss.sim.delays import receive
 from deepgnss.sim.generator import recording, sample_source
+from deepgnss.sim.motion.paths import Line, Path, Sine, Static
+from deepgnss.sim.motion.profile import smooth_profile
+from deepgnss.sim.motion.vehicle import Vehicle
 from deepgnss.sim.orbits import orbit_of
 from deepgnss.sim.presets import elevations, preset
 from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario, Stream
-from deepgnss.sim.trajectory import Line, Path, Sine, Static, Trajectory, smooth_profile
 
 Samples = NDArray[np.int64] | FloatArray
 RATE_HZ = 4.0e6
@@ -43,7 +45,7 @@ def _scenario(
 ) -> Scenario:
     """The highest satellites over a place; float samples at 4 Msps unless told otherwise."""
     nav = nominal_gps(START, seconds)
-    place = Trajectory(0.91, 0.18, 120.0, path or Static())
+    place = Vehicle(0.91, 0.18, 120.0, path or Static())
     front_end = front_end or FrontEnd(RATE_HZ, format="float32")
     seen = elevations(nav, START, place)
     highest = sorted(seen, key=lambda satellite: -seen[satellite])[:count]
@@ -336,25 +338,6 @@ def test_navigation_bits_leave_at_their_time() -> None:
         assert frame.polarity == 0
         assert frame.start_tow_s == pytest.approx(sent_s[frame.first], abs=1e-6)
     assert frames[0].subframe is not None
-
-
-def test_clock_noise_follows_its_density() -> None:
-    """Allan variance at τ: h0/(2τ) + (2π²/3)·h₋₂·τ; 3 h of white, 200 starts of random walk."""
-    white = clock_error(
-        ReceiverClock(oscillator=Oscillator("white", 1.0e-20, 0.0, 0.0, 0.0)), 2000.0, seed=3
-    )
-    for tau_ms in (10, 1000):
-        phase = white[::tau_ms]
-        allan = np.mean(np.diff(phase, 2) ** 2) / 2.0 / (tau_ms * 1.0e-3) ** 2
-        assert allan == pytest.approx(1.0e-20 / 2.0 / (tau_ms * 1.0e-3), rel=0.15)
-    walk = clock_error(
-        ReceiverClock(oscillator=Oscillator("walk", 0.0, 0.0, 1.0e-20, 0.0)), 2000.0, seed=4
-    )[::1000]
-    allan = np.mean(np.diff(walk, 2) ** 2) / 2.0
-    assert allan == pytest.approx(2.0 * np.pi**2 / 3.0 * 1.0e-20, rel=0.15)
-    assert clock_error(ReceiverClock(2.0e-4, 1.0e-7), 5.0, seed=1)[[2000, 5000]] == pytest.approx(
-        [2.0e-4, 2.003e-4], abs=1e-15
-    )
 
 
 def test_presets_have_their_satellites() -> None:

@@ -17,18 +17,11 @@ from deepgnss.receiver.orbits import predict, satellite_states
 from deepgnss.sim.atmosphere import ionosphere_m, troposphere_m
 from deepgnss.sim.constellation import KLOBUCHAR, nominal_gps
 from deepgnss.sim.delays import hermite_cubics
+from deepgnss.sim.motion.paths import Ellipse, Line, Path, Sine, Static
+from deepgnss.sim.motion.profile import constant_rate, smooth_profile
+from deepgnss.sim.motion.vehicle import Vehicle
 from deepgnss.sim.orbits import orbit_of, travel
 from deepgnss.sim.presets import elevations
-from deepgnss.sim.trajectory import (
-    Ellipse,
-    Line,
-    Path,
-    Sine,
-    Static,
-    Trajectory,
-    constant_rate,
-    smooth_profile,
-)
 
 START = GpsTime(2290, 382_256.25)
 PLACE = (0.91, 0.18, 120.0)
@@ -136,7 +129,7 @@ def test_successive_sets_describe_one_orbit(week: int) -> None:
 def test_enough_satellites_everywhere() -> None:
     for latitude in (-80.0, -35.0, 0.0, 35.0, 52.0, 80.0):
         for longitude in (-120.0, 0.0, 90.0):
-            place = Trajectory(np.radians(latitude), np.radians(longitude), 0.0, Static())
+            place = Vehicle(np.radians(latitude), np.radians(longitude), 0.0, Static())
             seen = elevations(nominal_gps(START, 60.0), START, place)
             assert sum(angle > np.radians(5.0) for angle in seen.values()) >= 6
     assert len(seen) == 30
@@ -174,8 +167,8 @@ def test_profile_passes_through_its_points() -> None:
 
 def test_local_frame_is_north_east_down() -> None:
     turn = Ellipse(50.0, 50.0, constant_rate(0.1))
-    place = Trajectory(*PLACE, turn)
-    motion = place.at(np.array([0.0, np.pi / 2 / 0.1]))
+    place = Vehicle(*PLACE, turn)
+    motion = place.point(np.array([0.0, np.pi / 2 / 0.1]))
     v_n = motion.v_mps @ C_ne(*PLACE[:2]).T
     assert v_n[0] == pytest.approx([5.0, 0.0, 0.0], abs=1e-9)  # off northwards
     assert v_n[1] == pytest.approx([0.0, 5.0, 0.0], abs=1e-6)  # clockwise: then eastwards
