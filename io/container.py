@@ -84,6 +84,23 @@ class ContainerWriter:
                 group[key] = np.asarray(column)
             group.attrs.update(attributes)
 
+    def append_table(
+        self, name: str, columns: Mapping[str, ArrayLike], **attributes: str | float
+    ) -> None:
+        """Append rows to a group of columns; the first call makes it, with its attributes."""
+        with reporting(self.path):
+            if name not in self._file:
+                group = self._file.create_group(name, track_order=True)
+                for key, column in columns.items():
+                    kind = np.asarray(column).dtype
+                    group.create_dataset(key, (0,), kind, maxshape=(None,), chunks=(1 << 14,))
+                group.attrs.update(attributes)
+            for key, column in columns.items():
+                dataset, rows = self._file[name][key], np.asarray(column)
+                first = dataset.shape[0]
+                dataset.resize(first + rows.size, axis=0)
+                dataset[first:] = rows
+
     def close(self, whole: bool = True) -> None:
         """Close the file and, if it is whole, give it its name."""
         with reporting(self.path):

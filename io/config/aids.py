@@ -101,6 +101,11 @@ class ImuConfig(Section):
         if (self.model is not None) != (self.format == "novatel_rawimu"):
             known = ", ".join(get_args(NovatelModel))
             raise misfit(f"expected one of {known} with `format: novatel_rawimu` only", "model")
+        if self.format in ("kfgins", "novatel_rawimu"):
+            if self.kind != "increments":
+                raise misfit(f"expected increments: {self.format} holds nothing else", "kind")
+            if (self.units.gyro, self.units.accel) != ("rad", "m/s"):
+                raise misfit(f"expected rad and m/s: {self.format} holds nothing else", "units")
         rates = {"rad/s", "deg/s"}
         if (self.units.gyro in rates) != (self.kind == "rates"):
             raise misfit(f"expected a unit of {self.kind}", "units.gyro")
