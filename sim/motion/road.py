@@ -116,7 +116,7 @@ def lay_road(
     if min(lengths) <= 0.0:
         at = int(np.argmin(lengths))
         raise ConfigError(f"waypoints[{(at + 1) % len(corners)}]: the place of the one before it")
-    courses = np.arctan2(legs[:, 1], legs[:, 0])
+    courses = [math.atan2(east, north) for north, east in legs]
     turns = [_between(courses[i - 1], courses[i]) for i in range(len(legs))]
     if not closed:
         turns = [0.0, *turns[1:], 0.0]

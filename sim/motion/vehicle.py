@@ -98,7 +98,8 @@ def swung(turn: Turning, lever_b_m: tuple[float, float, float]) -> Motion:
 def geographic(pose: Pose) -> Geographic:
     """Position, velocity and attitude as a navigator states them."""
     lat, lon, height_m = (
-        np.asarray(x, dtype=np.float64) for x in pymap3d.ecef2geodetic(*pose.r_e_m.T, deg=False)
+        np.asarray(x, dtype=np.float64).reshape(-1)  # pymap3d drops the axis of a single point
+        for x in pymap3d.ecef2geodetic(*pose.r_e_m.T, deg=False)
     )
     to_n = C_ne(lat, lon)
     return Geographic(
