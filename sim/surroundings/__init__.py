@@ -1,0 +1,1 @@
+"""What lies between sky and antenna: walls, decks, tunnels, trees, and what they reflect."""
