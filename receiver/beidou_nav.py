@@ -36,6 +36,8 @@ BDT_WEEK_OFFSET: Final = 1356
 _HEAD_BITS: Final = 2 * WORD_BITS
 _HEADER: Final = (("preamble", 11), ("", 4), ("subframe_id", 3), ("sow_s", 20))
 _HEADER_BITS: Final = sum(length for _, length in _HEADER)
+_CYCLE_S: Final = 30.0  # of all pages of an ephemeris, D1 and D2
+_SET_S: Final = 3600.0  # sets change on the full hour of BDT
 _MOST_CORRECTED: Final = 4  # of 19 code words: a subframe with more of them is not believed
 
 # --- fields --------------------------------------------------------------------------------------
@@ -344,7 +346,8 @@ def _collect(
     """Take in a subframe; hand out what it completes, if that is new.
 
     The pages of an ephemeris carry no common issue: they count together when they left in one
-    cycle (a frame of D1, ten of D2), within which the set does not change. A subframe with
+    cycle (a frame of D1, ten of D2), within which the set does not change, or in two neighbouring
+    ones of one hour (sets change on the hour) that name the same reference time. A subframe with
     corrected bits counts once it has come twice alike.
     """
     page = kind.page(subframe)
@@ -388,10 +391,14 @@ def _ephemeris(kind: _Kind, state: BeidouState) -> Ephemeris | None:
         round(part.start_tow_s - kind.cycle[page]) % SECONDS_PER_WEEK
         for page, part in parts.items()
     }
-    if len(starts_s) > 1:
-        return None
     values = _unpack(kind.pages, {page: part.information for page, part in parts.items()})
-    sent_s = starts_s.pop()
+    sent_s = max(starts_s)
+    if len(starts_s) > 1 and (
+        sent_s - min(starts_s) > _CYCLE_S
+        or len({(start_s + BDT_MINUS_GPST_S) // _SET_S for start_s in starts_s}) > 1
+        or values["toe_s"] != values["toc_s"]
+    ):
+        return None
     # Satellite time is GPST here, the week that of BDT, 14 s behind: it may still be the last one.
     week = BDT_WEEK_OFFSET + int(values["week"]) + (sent_s < -BDT_MINUS_GPST_S)
     transmitted = GpsTime(week, float(sent_s))

@@ -220,7 +220,8 @@ class Channel:
         period_s = self.signal.period_s
         if self.settings.record_correlations:
             self.recorded.append(Correlations(self.command.sample, period_s, self._taken))
-        return accumulate(self._stripped(), period_s, self._coherent)
+        blind = self._coded and not self._coherent
+        return accumulate(self._stripped(), period_s, self._coherent, blind)
 
     def _stripped(self) -> ComplexArray:
         """Correlations without the secondary code, and without symbols where there are several."""
@@ -390,7 +391,9 @@ class Channel:
         back_s = self.signal.period_s * (np.arange(prompts.size) + 0.5 - prompts.size)
         prompts *= np.exp(-2j * np.pi * (self._carrier.frequency * back_s + self._carrier.phase))
         skip = (edge - self._prompts_first) % size
-        seen = demodulate(prompts[skip:].reshape(-1, size) @ self.signal.secondary)
+        seen = demodulate(
+            prompts[skip:].reshape(-1, size) @ self.signal.secondary, self.signal.symbol_s
+        )
         self.symbols = seen.symbols
         self.symbols_first = self._prompts_first + skip
         self._carrier = self._carrier._replace(

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deepgnss.core.records import ComplexArray
 from deepgnss.receiver.trackers import Accumulated
 
 _SLOW_S = 1.0  # averaging of the reported C/N0
@@ -52,13 +53,14 @@ def update_locks(state: LockState, seen: Accumulated) -> LockState:
     if count < 2:
         return state
     wide = float(np.vdot(prompts, prompts).real)
-    products = complex(np.vdot(prompts[:-1], prompts[1:])) / (count - 1)
+    neighbours = prompts[:-1].conj() * prompts[1:]
+    products = complex(neighbours.sum()) / (count - 1)
     if seen.coherent:
         narrow = abs(seen.prompt) ** 2 / count
         noise = (wide - narrow) / (count - 1)
         signal = (narrow - noise) / count
     else:
-        signal = products.real
+        signal = _blind_power(neighbours) if seen.blind else products.real
         noise = max(wide / count - max(signal, 0.0), 0.0)
     seconds = state.seconds + seen.seconds
     slow = seen.seconds / min(seconds, _SLOW_S)
@@ -79,6 +81,11 @@ def update_locks(state: LockState, seen: Accumulated) -> LockState:
         phase_seconds,
         rotation,
     )
+
+
+def _blind_power(products: ComplexArray) -> float:
+    """Signal power from products of neighbours of unknown signs: E z² = A⁴, noise has no mean."""
+    return math.sqrt(max(float((products * products).sum().real) / products.size, 0.0))
 
 
 def _cn0_dbhz(signal: float, noise: float, period_s: float) -> float:

@@ -60,10 +60,10 @@ class Place(NamedTuple):
 
 
 def predict_sights(place: Place, nav: NavData, signal: Signal) -> list[Sight]:
-    """Satellites of a signal's system with a usable ephemeris, as seen from a place."""
+    """Satellites that send a signal, with a usable ephemeris, as seen from a place."""
     chosen: list[Ephemeris] = []
     for satellite in sorted(nav.ephemerides):
-        if satellite[0] == signal.id.system:
+        if satellite[0] == signal.id.system and int(satellite[1:]) in signal.prns:
             ephemeris = orbits.select(nav, satellite, place.time)
             if ephemeris is not None:
                 chosen.append(ephemeris)

@@ -88,7 +88,7 @@ class Demodulated(NamedTuple):
     step_cycles: float  # its change from symbol to symbol
 
 
-def demodulate(sums: ComplexArray) -> Demodulated:
+def demodulate(sums: ComplexArray, symbol_s: float = 0.02) -> Demodulated:
     """Follow the residual carrier through symbol sums (n,), deciding symbols on the way.
 
     A decision-directed loop of second order that starts with the rotation of the first symbols;
@@ -96,14 +96,16 @@ def demodulate(sums: ComplexArray) -> Demodulated:
     the same stream of symbols.
     """
     symbols = bytearray()
-    phase, step = _rotation(sums[:_FIRST_SYMBOLS])
+    share = symbol_s / 0.02  # short symbols are noisier: the loop keeps its bandwidth
+    phase, step = _rotation(sums[: round(_FIRST_SYMBOLS / share)])
+    phase_gain, step_gain = 1.0 - 0.4**share, 0.15 * share**2
     for value in sums.tolist():
         turned = value * cmath.rect(1.0, -phase)
         negative = turned.real < 0.0
         symbols.append(int(negative))
         error = cmath.phase(-turned if negative else turned)
-        phase += 0.6 * error + step
-        step += 0.15 * error
+        phase += phase_gain * error + step
+        step += step_gain * error
     turn = 2.0 * math.pi
     return Demodulated(symbols, (phase - step) / turn, step / turn)
 

@@ -37,13 +37,16 @@ class Accumulated(NamedTuple):
     seconds: float
     period_s: float
     coherent: bool  # the sums may be used: no symbol edge lies inside
+    blind: bool = False  # every code period may have another sign
 
 
-def accumulate(periods: ComplexArray, period_s: float, coherent: bool) -> Accumulated:
+def accumulate(
+    periods: ComplexArray, period_s: float, coherent: bool, blind: bool = False
+) -> Accumulated:
     """Sums over the code periods (n, taps) of an interval."""
     early, prompt, late = periods.sum(axis=0).tolist()
     seconds = periods.shape[0] * period_s
-    return Accumulated(periods, early, prompt, late, seconds, period_s, coherent)
+    return Accumulated(periods, early, prompt, late, seconds, period_s, coherent, blind)
 
 
 class Correction(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from deepgnss.io.config.schema import Config
 
-PROCESSED_SIGNALS = frozenset({"GPS_L1CA"})
+PROCESSED_SIGNALS = frozenset({"GPS_L1CA", "BDS_B1I"})
 """Signals this version tracks."""
 
 

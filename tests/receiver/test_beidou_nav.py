@@ -223,9 +223,10 @@ def test_a_value_that_needs_more_bits_is_refused() -> None:
 
 
 def test_sets_never_mix() -> None:
-    """A set changes between frames: subframe 1 of the old with 2 and 3 of the new is none."""
+    """A set changes on the hour: subframe 1 of the old with 2 and 3 of the new is none."""
     old, new = some_ephemeris(seed=1), some_ephemeris(seed=2)
-    first, second = stream(D1, START, 5, old), stream(D1, START.plus(30.0), 5, new)
+    last = GpsTime(2290, 107 * 3600.0 - 30.0 + 14.0)
+    first, second = stream(D1, last, 5, old), stream(D1, last.plus(30.0), 5, new)
     spoilt = first.copy()
     spoilt[330:900:7] ^= 1
     bits = np.concatenate([spoilt, second[300:]])  # subframe 1 of the new set is not there
@@ -233,6 +234,15 @@ def test_sets_never_mix() -> None:
     bits = np.concatenate([spoilt, second])
     (got,) = (n for n in collected(D1, bits, "C19", START) if isinstance(n, Ephemeris))
     assert got.m0_rad == new.m0_rad
+
+
+def test_neighbouring_frames_of_an_hour_complete_each_other() -> None:
+    """A receiver switched on in mid-frame has an ephemeris half a minute later."""
+    one = some_ephemeris()
+    bits = np.concatenate([stream(D1, START.plus(30.0 * k), 5, one) for k in range(2)])
+    late = bits[300 : 1500 + 300]  # subframes 2 to 5, and 1 of the next frame
+    (got,) = (n for n in collected(D1, late, "C19", START) if isinstance(n, Ephemeris))
+    assert replace(got, transmitted=one.transmitted) == one
 
 
 def test_a_corrected_subframe_counts_once_it_has_come_twice_alike() -> None:
