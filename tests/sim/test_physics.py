@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepgnss.core.constants import EARTH_RATE_RADPS, SPEED_OF_LIGHT_MPS
-from deepgnss.core.frames import C_ne, ecef
+from deepgnss.core.frames import ecef
 from deepgnss.core.records import Ephemeris, FloatArray
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver.atmosphere import klobuchar_delay, saastamoinen_delay
@@ -17,8 +17,7 @@ from deepgnss.receiver.orbits import predict, satellite_states
 from deepgnss.sim.atmosphere import ionosphere_m, troposphere_m
 from deepgnss.sim.constellation import KLOBUCHAR, nominal_gps
 from deepgnss.sim.delays import hermite_cubics
-from deepgnss.sim.motion.paths import Ellipse, Line, Path, Sine, Static
-from deepgnss.sim.motion.profile import constant_rate, smooth_profile
+from deepgnss.sim.motion.paths import Static
 from deepgnss.sim.motion.vehicle import Vehicle
 from deepgnss.sim.orbits import orbit_of, travel
 from deepgnss.sim.presets import elevations
@@ -133,47 +132,6 @@ def test_enough_satellites_everywhere() -> None:
             seen = elevations(nominal_gps(START, 60.0), START, place)
             assert sum(angle > np.radians(5.0) for angle in seen.values()) >= 6
     assert len(seen) == 30
-
-
-# --- trajectories --------------------------------------------------------------------------------
-
-DRIVE = smooth_profile([(2.0, 0.0), (7.0, 13.0), (9.0, 13.0), (12.0, 0.0)])
-PATHS: list[Path] = [
-    Static(),
-    Line((0.6, 0.0, -0.8), DRIVE),
-    Ellipse(100.0, 60.0, smooth_profile([(1.0, 0.0), (6.0, 0.16), (8.0, -0.1)])),
-    Sine((0.0, 1.0, 0.0), 3.0, 1.5),
-]
-
-
-@pytest.mark.parametrize("path", PATHS, ids=lambda path: type(path).__name__)
-def test_derivatives_are_those_of_the_position(path: Path) -> None:
-    t_s = np.linspace(-3.0, 20.0, 1001)
-    h = 1.0e-4
-    before, now, after = (path(t_s + d) for d in (-h, 0.0, h))
-    np.testing.assert_allclose((after.r_m - before.r_m) / (2 * h), now.v_mps, atol=1e-5)
-    np.testing.assert_allclose((after.v_mps - before.v_mps) / (2 * h), now.a_mps2, atol=2e-3)
-    assert np.abs(path(np.zeros(1)).r_m).max() < 1e-12
-
-
-def test_profile_passes_through_its_points() -> None:
-    assert DRIVE(np.array([-5.0, 2.0, 7.0, 8.0, 12.0, 900.0]), 1) == pytest.approx(
-        [0.0, 0.0, 13.0, 13.0, 0.0, 0.0]
-    )
-    # means of the steps: 6.5 m/s for 5 s, 13 for 2 s, 6.5 for 3 s
-    assert DRIVE(900.0) == pytest.approx(6.5 * 5 + 13 * 2 + 6.5 * 3, abs=1e-6)
-    assert constant_rate(2.5)(-4.0) == pytest.approx(-10.0, abs=1e-6)
-
-
-def test_local_frame_is_north_east_down() -> None:
-    turn = Ellipse(50.0, 50.0, constant_rate(0.1))
-    place = Vehicle(*PLACE, turn)
-    motion = place.point(np.array([0.0, np.pi / 2 / 0.1]))
-    v_n = motion.v_mps @ C_ne(*PLACE[:2]).T
-    assert v_n[0] == pytest.approx([5.0, 0.0, 0.0], abs=1e-9)  # off northwards
-    assert v_n[1] == pytest.approx([0.0, 5.0, 0.0], abs=1e-6)  # clockwise: then eastwards
-    r_n = (motion.r_m[1] - ecef(*PLACE)) @ C_ne(*PLACE[:2]).T
-    assert r_n == pytest.approx([50.0, 50.0, 0.0], abs=1e-5)
 
 
 @settings(deadline=None, derandomize=True, max_examples=50)
