@@ -6,11 +6,13 @@ from typing import Final
 
 import numpy as np
 
-from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
-from deepgnss.core.records import GPS_L1CA, FloatArray, Klobuchar
+from deepgnss.core.constants import BDT_MINUS_GPST_S, SPEED_OF_LIGHT_MPS
+from deepgnss.core.records import BDS_B1I, GPS_L1CA, FloatArray, Klobuchar
 
 _DAY_S: Final = 86_400.0
 _TROPOPAUSE_M: Final = 11_000.0
+_BEIDOU_RADIUS_M: Final = 6_378_000.0
+_BEIDOU_SHELL_M: Final = 375_000.0
 
 TYPICAL_KLOBUCHAR: Final = Klobuchar(
     (0.1118e-7, -0.7451e-8, -0.5961e-7, 0.1192e-6),
@@ -50,6 +52,42 @@ def klobuchar_delay(
     slant = 1.0 + 16.0 * (0.53 - E) ** 3
     at_l1_m = SPEED_OF_LIGHT_MPS * slant * (5e-9 + day_s)
     return np.asarray(at_l1_m * (GPS_L1CA.carrier_hz / carrier_hz) ** 2)
+
+
+def beidou_klobuchar_delay(
+    coefficients: Klobuchar,
+    lat_rad: float,
+    lon_rad: float,
+    azimuth_rad: FloatArray,
+    elevation_rad: FloatArray,
+    tow_s: float,
+    carrier_hz: float | FloatArray = BDS_B1I.carrier_hz,
+) -> FloatArray:
+    """Ionospheric delay of the code by BeiDou's coefficients, as `klobuchar_delay`.
+
+    The same day curve, but a whole cosine over the geographic latitude (its magnitude: both
+    hemispheres are alike) of a point 375 km up, with the exact geometry of a sphere. Satellites
+    below the horizon get the delay of the horizon.
+
+    Source: BDS-SIS-ICD B1I 5.2.4.7; tow_s, GPST.
+    """
+    E = np.maximum(elevation_rad, 0.0)
+    sin_nadir = _BEIDOU_RADIUS_M / (_BEIDOU_RADIUS_M + _BEIDOU_SHELL_M) * np.cos(E)
+    psi = 0.5 * np.pi - E - np.arcsin(sin_nadir)  # earth's central angle to the pierce point
+    lat_i = np.arcsin(
+        np.sin(lat_rad) * np.cos(psi) + np.cos(lat_rad) * np.sin(psi) * np.cos(azimuth_rad)
+    )
+    lon_i = lon_rad + np.arcsin(np.sin(psi) * np.sin(azimuth_rad) / np.cos(lat_i))
+    local_s = np.mod(0.5 * _DAY_S * lon_i / np.pi + tow_s + BDT_MINUS_GPST_S, _DAY_S)
+    latitude = np.abs(lat_i) / np.pi
+    amplitude_s = np.maximum(np.polynomial.polynomial.polyval(latitude, coefficients.alpha), 0.0)
+    period_s = np.polynomial.polynomial.polyval(latitude, coefficients.beta)
+    period_s = np.clip(period_s, 72_000.0, 172_800.0)
+    from_peak_s = local_s - 50_400.0
+    by_day = np.abs(from_peak_s) < 0.25 * period_s
+    day_s = np.where(by_day, amplitude_s * np.cos(2.0 * np.pi * from_peak_s / period_s), 0.0)
+    at_b1i_m = SPEED_OF_LIGHT_MPS * (5e-9 + day_s) / np.sqrt(1.0 - sin_nadir**2)
+    return np.asarray(at_b1i_m * (BDS_B1I.carrier_hz / carrier_hz) ** 2)
 
 
 def standard_atmosphere(

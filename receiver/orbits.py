@@ -24,6 +24,7 @@ from deepgnss.core.constants import (
 from deepgnss.core.frames import azimuth_elevation
 from deepgnss.core.records import Ephemeris, FloatArray, NavData
 from deepgnss.core.time import GpsTime
+from deepgnss.receiver.signals import BDS_B1I_D2
 
 
 class SystemConstants(NamedTuple):
@@ -44,6 +45,9 @@ SYSTEMS: Final = {
         BDT_MINUS_GPST_S,
     ),
 }
+
+_GEOSTATIONARY: Final = frozenset(map(BDS_B1I_D2.satellite, BDS_B1I_D2.prns))
+_GEO_TILT_RAD: Final = float(np.radians(-5.0))
 
 MINIMUM_ELEVATION_KNOWN_M: Final = 1.0e6
 """Distance from the geocentre below which a position has no meaningful horizon."""
@@ -115,7 +119,9 @@ def satellite_states(
     reference, offset_s: the instants are reference + offset_s; shape (k,), or (…, k) for several
         instants of each satellite, or anything that broadcasts with (k,).
 
-    Source: IS-GPS-200 table 20-IV; velocity by differentiating it; clock 20.3.3.3.3.1.
+    Source: IS-GPS-200 table 20-IV, BDS-SIS-ICD B1I table 5-11 (geostationary satellites: an
+    inclined plane in a frame that does not turn, brought back by 5° and the earth's rotation
+    since toe); velocity by differentiating them; clock 20.3.3.3.3.1, 5.2.4.10.
     """
     table = np.array([[getattr(e, name) for name in _ELEMENTS] for e in ephemerides]).T
     (sqrt_a, ecc, m0, delta_n, omega0, omega, omega_dot, i0, idot) = table[:9]
@@ -142,7 +148,8 @@ def satellite_states(
     r_dot = a * ecc * sin_E * E_dot + 2.0 * phi_dot * (crs * cos_2 - crc * sin_2)
     i = i0 + idot * tk + cis * sin_2 + cic * cos_2
     i_dot = idot + 2.0 * phi_dot * (cis * cos_2 - cic * sin_2)
-    node_dot = omega_dot - earth_rate
+    geostationary = np.array([e.satellite in _GEOSTATIONARY for e in ephemerides])
+    node_dot = omega_dot - np.where(geostationary, 0.0, earth_rate)
     node = omega0 + node_dot * tk - earth_rate * toe_tow
 
     sin_u, cos_u = np.sin(u), np.cos(u)
@@ -155,20 +162,41 @@ def satellite_states(
     y_i_dot = y_dot * cos_i - z_i * i_dot
     z_i_dot = y_dot * sin_i + y_i * i_dot
     X, Y = x * cos_o - y_i * sin_o, x * sin_o + y_i * cos_o
+    r_e_m = np.stack([X, Y, z_i], axis=-1)
+    v_e_mps = np.stack(
+        [
+            x_dot * cos_o - y_i_dot * sin_o - Y * node_dot,
+            x_dot * sin_o + y_i_dot * cos_o + X * node_dot,
+            z_i_dot,
+        ],
+        axis=-1,
+    )
+    if geostationary.any():
+        turned = _earth_fixed(r_e_m, v_e_mps, earth_rate, tk)
+        at_rest = geostationary[:, np.newaxis]
+        r_e_m, v_e_mps = (
+            np.where(at_rest, new, old) for new, old in zip(turned, (r_e_m, v_e_mps), strict=True)
+        )
     return SatelliteStates(
-        r_e_m=np.stack([X, Y, z_i], axis=-1),
-        v_e_mps=np.stack(
-            [
-                x_dot * cos_o - y_i_dot * sin_o - Y * node_dot,
-                x_dot * sin_o + y_i_dot * cos_o + X * node_dot,
-                z_i_dot,
-            ],
-            axis=-1,
-        ),
+        r_e_m=r_e_m,
+        v_e_mps=v_e_mps,
         clock_s=af0 + tc * (af1 + tc * af2) + relativity * ecc * sqrt_a * sin_E,
         drift_sps=af1 + 2.0 * af2 * tc + relativity * ecc * sqrt_a * cos_E * E_dot,
         group_delay_s=group_delay_s,
     )
+
+
+def _earth_fixed(
+    r_m: FloatArray, v_mps: FloatArray, earth_rate: FloatArray, tk: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Rz(ωₑ tₖ) Rx(−5°) of positions (…, 3) and its derivative (BDS-SIS-ICD B1I table 5-11)."""
+    c, s = np.cos(_GEO_TILT_RAD), np.sin(_GEO_TILT_RAD)
+    tilt = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
+    cos, sin = np.cos(earth_rate * tk), np.sin(earth_rate * tk)
+    (x, y, z), (vx, vy, vz) = (np.moveaxis(a @ tilt.T, -1, 0) for a in (r_m, v_mps))
+    x, y = cos * x + sin * y, cos * y - sin * x
+    vx, vy = cos * vx + sin * vy + earth_rate * y, cos * vy - sin * vx - earth_rate * x
+    return np.stack([x, y, z], axis=-1), np.stack([vx, vy, vz], axis=-1)
 
 
 def _eccentric_anomaly(M: FloatArray, ecc: FloatArray) -> FloatArray:

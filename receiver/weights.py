@@ -9,9 +9,14 @@ from typing import Literal
 import numpy as np
 
 from deepgnss.core.frames import geodetic
-from deepgnss.core.records import Ephemeris, FloatArray, NavData
+from deepgnss.core.records import BDS_B1I, Ephemeris, FloatArray, NavData
 from deepgnss.core.time import GpsTime
-from deepgnss.receiver.atmosphere import TYPICAL_KLOBUCHAR, klobuchar_delay, saastamoinen_delay
+from deepgnss.receiver.atmosphere import (
+    TYPICAL_KLOBUCHAR,
+    beidou_klobuchar_delay,
+    klobuchar_delay,
+    saastamoinen_delay,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,22 +70,19 @@ def delays(
         delay_m += troposphere_m
         variance_m2 += (model.troposphere * troposphere_m) ** 2
     if parameters.ionosphere == "klobuchar":
-        coefficients = nav.klobuchar.get("G")
-        ionosphere_m = klobuchar_delay(
-            coefficients or TYPICAL_KLOBUCHAR,
-            lat,
-            lon,
-            azimuth_rad,
-            elevation_rad,
-            time.tow_s,
-            carriers_hz,
-        )
+        gps, beidou = nav.klobuchar.get("G"), nav.klobuchar.get("C")
+        seen = lat, lon, azimuth_rad, elevation_rad, time.tow_s, carriers_hz
+        ionosphere_m = klobuchar_delay(gps or TYPICAL_KLOBUCHAR, *seen)
+        known = np.full(len(carriers_hz), gps is not None)
+        if beidou is not None:  # for its own satellites, and for those of GPS where it has none
+            taken = ~known | (carriers_hz == BDS_B1I.carrier_hz)
+            ionosphere_m = np.where(taken, beidou_klobuchar_delay(beidou, *seen), ionosphere_m)
+            known |= taken
         delay_m += ionosphere_m
-        if coefficients is None:
-            slant = 1.0 + 16.0 * (0.53 - np.maximum(elevation_rad, 0.0) / np.pi) ** 3
-            variance_m2 += (model.unknown_zenith_m * slant) ** 2
-        else:
-            variance_m2 += (model.ionosphere * ionosphere_m) ** 2
+        slant = 1.0 + 16.0 * (0.53 - np.maximum(elevation_rad, 0.0) / np.pi) ** 3
+        variance_m2 += (
+            np.where(known, model.ionosphere * ionosphere_m, model.unknown_zenith_m * slant) ** 2
+        )
     return delay_m, variance_m2
 
 

@@ -1,32 +1,45 @@
 """True orbits and satellite clocks, and the travel time of the signal, solved without shortcuts.
 
-The broadcast elements are taken as the truth (IS-GPS-200 20.3.3.4.3). The satellite is placed at
-the instant its signal left and turned by the earth's rotation during the travel; the light-time
-equation is iterated to the last bit. Nothing here is shared with the receiver's own orbits.
+The broadcast elements are taken as the truth (IS-GPS-200 20.3.3.4.3, BDS-SIS-ICD B1I 5.2.4). The
+satellite is placed at the instant its signal left and turned by the earth's rotation during the
+travel; the light-time equation is iterated to the last bit. Nothing here is shared with the
+receiver's own orbits.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from deepgnss.core.constants import (
+    BDT_MINUS_GPST_S,
     EARTH_RATE_RADPS,
     GM_GPS_M3PS2,
     RELATIVITY_F_SPRM,
+    SECONDS_PER_WEEK,
     SPEED_OF_LIGHT_MPS,
 )
 from deepgnss.core.jit import kernel
 from deepgnss.core.records import Ephemeris, FloatArray
 from deepgnss.core.time import GpsTime
+from deepgnss.receiver.signals import BDS_B1I_D2
+
+GM_BDS_M3PS2: Final = 3.986004418e14
+_EARTH_RATE_BDS_RADPS: Final = 7.2921150e-5  # CGCS2000
+_RELATIVITY_BDS_SPRM: Final = -2.0 * math.sqrt(GM_BDS_M3PS2) / SPEED_OF_LIGHT_MPS**2
+_COS_TILT: Final = math.cos(math.radians(5.0))
+_SIN_TILT: Final = math.sin(math.radians(5.0))
 
 
 class Orbit(NamedTuple):
     """Ephemeris and clock of one satellite as bare floats, times counted from the start."""
 
+    geostationary: bool  # of BeiDou: elements of a tilted frame
+    earth_rate_radps: float  # the message's
+    relativity_sprm: float
     toe_s: float
     toc_s: float
     toe_tow_s: float
@@ -55,7 +68,7 @@ class Travel(NamedTuple):
     """Signal travel to the receiver, each (n,) or (n, 3)."""
 
     range_m: FloatArray  # geometric, in the inertial frame (Sagnac included)
-    satellite_clock_s: FloatArray  # L1 C/A time tag − GPST when the signal left
+    satellite_clock_s: FloatArray  # time tag of L1 C/A or B1I − GPST when the signal left
     satellite_e_m: FloatArray  # where it left, in the ECEF frame of the instant of reception
 
 
@@ -66,11 +79,17 @@ def nearest_set(sets: Sequence[Ephemeris], time: GpsTime) -> Ephemeris:
 
 def orbit_of(ephemeris: Ephemeris, start: GpsTime) -> Orbit:
     """Broadcast elements with times counted from `start`."""
+    bds = ephemeris.satellite[0] == "C"
+    gm_m3ps2 = GM_BDS_M3PS2 if bds else GM_GPS_M3PS2
     semi_major_m = ephemeris.sqrt_a_rm**2
+    toe_tow_s = ephemeris.toe.tow_s + (BDT_MINUS_GPST_S if bds else 0.0)
     return Orbit(
+        geostationary=bds and int(ephemeris.satellite[1:]) in BDS_B1I_D2.prns,
+        earth_rate_radps=_EARTH_RATE_BDS_RADPS if bds else EARTH_RATE_RADPS,
+        relativity_sprm=_RELATIVITY_BDS_SPRM if bds else RELATIVITY_F_SPRM,
         toe_s=ephemeris.toe.since(start),
         toc_s=ephemeris.toc.since(start),
-        toe_tow_s=ephemeris.toe.tow_s,
+        toe_tow_s=toe_tow_s % SECONDS_PER_WEEK,
         af0_s=ephemeris.af0_s,
         af1_sps=ephemeris.af1_sps,
         af2_sps2=ephemeris.af2_sps2,
@@ -78,7 +97,7 @@ def orbit_of(ephemeris: Ephemeris, start: GpsTime) -> Orbit:
         sqrt_a_rm=ephemeris.sqrt_a_rm,
         eccentricity=ephemeris.eccentricity,
         m0_rad=ephemeris.m0_rad,
-        mean_motion_radps=math.sqrt(GM_GPS_M3PS2 / semi_major_m**3) + ephemeris.delta_n_radps,
+        mean_motion_radps=math.sqrt(gm_m3ps2 / semi_major_m**3) + ephemeris.delta_n_radps,
         omega0_rad=ephemeris.omega0_rad,
         omega_rad=ephemeris.omega_rad,
         omega_dot_radps=ephemeris.omega_dot_radps,
@@ -113,10 +132,10 @@ def _eccentric_anomaly(orbit: Orbit, t_s: float) -> float:
 
 @kernel
 def _clock(orbit: Orbit, t_s: float) -> float:
-    """Satellite clock of the L1 signal − GPST, s (IS-GPS-200 20.3.3.3.3.1)."""
+    """Satellite clock of the L1 or B1I signal − GPST, s (IS-GPS-200 20.3.3.3.3.1)."""
     dt = t_s - orbit.toc_s
     relativity = (
-        RELATIVITY_F_SPRM
+        orbit.relativity_sprm
         * orbit.eccentricity
         * orbit.sqrt_a_rm
         * math.sin(_eccentric_anomaly(orbit, t_s))
@@ -127,7 +146,10 @@ def _clock(orbit: Orbit, t_s: float) -> float:
 
 @kernel
 def _place(orbit: Orbit, t_s: float, turn_s: float) -> tuple[float, float, float]:
-    """Satellite at t_s in the ECEF frame of t_s + turn_s (IS-GPS-200 table 20-IV), m."""
+    """Satellite at t_s in the ECEF frame of t_s + turn_s, m.
+
+    IS-GPS-200 table 20-IV, BDS-SIS-ICD B1I table 5-11.
+    """
     since_toe = t_s - orbit.toe_s
     anomaly = _eccentric_anomaly(orbit, t_s)
     e = orbit.eccentricity
@@ -141,14 +163,18 @@ def _place(orbit: Orbit, t_s: float, turn_s: float) -> tuple[float, float, float
     inclination += orbit.cis_rad * sin2 + orbit.cic_rad * cos2
     latitude += orbit.cus_rad * sin2 + orbit.cuc_rad * cos2
     node = orbit.omega0_rad + orbit.omega_dot_radps * since_toe
-    node -= EARTH_RATE_RADPS * (orbit.toe_tow_s + since_toe + turn_s)
+    node -= orbit.earth_rate_radps * orbit.toe_tow_s
+    turned = orbit.earth_rate_radps * (since_toe + turn_s)  # by the earth since toe
     x, y = radius * math.cos(latitude), radius * math.sin(latitude)
-    y_level = y * math.cos(inclination)
-    return (
+    y_level, z = y * math.cos(inclination), y * math.sin(inclination)
+    x, y = (
         x * math.cos(node) - y_level * math.sin(node),
         x * math.sin(node) + y_level * math.cos(node),
-        y * math.sin(inclination),
     )
+    if orbit.geostationary:  # the elements' frame leans by 5° about its x axis
+        y, z = y * _COS_TILT - z * _SIN_TILT, y * _SIN_TILT + z * _COS_TILT
+    c, s = math.cos(turned), math.sin(turned)
+    return x * c + y * s, y * c - x * s, z
 
 
 @kernel
