@@ -40,48 +40,52 @@ def levels(bits: int) -> tuple[FloatArray, FloatArray]:
 
 
 def convert(samples: NDArray[np.float32], sigma: float, front_end: FrontEnd) -> bytes:
-    """Bytes of the file for float samples (rows, n) whose standard deviation is `sigma`."""
+    """Bytes of the file for float samples (rows, n) whose standard deviation is `sigma`.
+
+    n fills whole bytes.
+    """
     bits = front_end.converter_bits
     if bits == VALUE_BITS["float32"]:
         return (samples.T / np.float32(sigma)).astype("<f4").tobytes()
-    out = np.empty(samples.shape[::-1], dtype=np.int16)
-    _quantize(samples, np.float32(1.0 / (sigma * step_over_sigma(bits))), bits, out)
-    if front_end.format == "int16":
-        return out.astype("<i2").tobytes()
-    if front_end.format == "int8":
-        return out.astype(np.int8).tobytes()
+    gain = np.float32(1.0 / (sigma * step_over_sigma(bits)))
+    steps = np.empty(samples.shape, dtype=np.int16)
+    _quantize(samples, gain, bits, steps)
     stored = VALUE_BITS[front_end.format]
-    packed = np.zeros(-(-out.size * stored // 8), dtype=np.uint8)
-    _pack(out.reshape(-1), stored, packed)
-    return packed.tobytes()
+    if stored < VALUE_BITS["int8"]:
+        packed = np.zeros(steps.size * stored // 8, dtype=np.uint8)
+        _pack(steps, stored, packed)
+        return packed.tobytes()
+    values = 2 * steps + np.int16(1) if bits <= _ODD_LEVELS_TO else steps
+    return values.T.astype("<i2" if front_end.format == "int16" else np.int8).tobytes()
 
 
 @kernel
 def _quantize(
     samples: NDArray[np.float32], gain: np.float32, bits: int, out: NDArray[np.int16]
 ) -> None:
-    """Levels (n, rows) of samples (rows, n) after `gain` (one step = 1)."""
+    """Steps after `gain` (one step = 1), both (rows, n): step k stands for 2k + 1 up to 4 bits."""
     top = np.float32(2 ** (bits - 1) - 1)
+    odd = bits <= _ODD_LEVELS_TO
+    bottom = -top - np.float32(1.0) if odd else -top
+    offset = np.float32(0.0) if odd else np.float32(0.5)
     for row in range(samples.shape[0]):
-        source = samples[row]
-        if bits <= _ODD_LEVELS_TO:
-            for n in range(source.size):
-                step = np.floor(source[n] * gain)
-                step = min(max(step, -top - np.float32(1.0)), top)
-                out[n, row] = 2 * np.int16(step) + 1
-        else:
-            for n in range(source.size):
-                step = np.floor(source[n] * gain + np.float32(0.5))
-                out[n, row] = np.int16(min(max(step, -top), top))
+        source, target = samples[row], out[row]
+        for n in range(source.size):
+            step = np.floor(source[n] * gain + offset)
+            target[n] = np.int16(min(max(step, bottom), top))
 
 
 @kernel
-def _pack(values: NDArray[np.int16], bits: int, out: NDArray[np.uint8]) -> None:
-    """Sign-magnitude codes of odd levels, first value in the most significant bits."""
-    per_byte = 8 // bits
+def _pack(steps: NDArray[np.int16], bits: int, out: NDArray[np.uint8]) -> None:
+    """Sign-magnitude codes of steps (rows, n), row by row within a sample, first value on top."""
+    rows = steps.shape[0]
+    samples = 8 // bits // rows  # per byte
     sign = 1 << (bits - 1)
-    for n in range(values.size):
-        value = values[n]
-        code = (sign | ((-value - 1) >> 1)) if value < 0 else (value - 1) >> 1
-        shift = (per_byte - 1 - n % per_byte) * bits
-        out[n // per_byte] |= np.uint8(code << shift)
+    for sample in range(samples):
+        for row in range(rows):
+            shift = 8 - bits * (sample * rows + row + 1)
+            source = steps[row, sample:]
+            for n in range(out.size):
+                step = source[n * samples]
+                code = sign | ~step if step < 0 else step
+                out[n] |= np.uint8(code << shift)

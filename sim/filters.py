@@ -39,13 +39,13 @@ def filter_centred(
     """
     half = taps.size // 2
     for row in range(out.shape[0]):
-        source, target = samples[row], out[row]
-        for low in range(0, target.size, _STRETCH):
-            high = min(low + _STRETCH, target.size)
-            for n in range(low, high):
-                target[n] = taps[half] * source[n + half]
+        for low in range(0, out.shape[1], _STRETCH):
+            target = out[row, low : low + _STRETCH]
+            source = samples[row, low : low + target.size + 2 * half]
+            middle = source[half:]
+            for n in range(target.size):
+                target[n] = taps[half] * middle[n]
             for j in range(half):
-                tap = taps[j]
-                other = 2 * half - j
-                for n in range(low, high):
-                    target[n] += tap * (source[n + j] + source[n + other])
+                tap, left, right = taps[j], source[j:], source[2 * half - j :]
+                for n in range(target.size):
+                    target[n] += tap * (left[n] + right[n])
