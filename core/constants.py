@@ -11,6 +11,9 @@ GM_GPS_M3PS2: Final = 3.986005e14
 EARTH_RATE_RADPS: Final = 7.2921151467e-5
 """Earth rotation rate of WGS-84, rad/s (IS-GPS-200 table 20-IV)."""
 
+STANDARD_GRAVITY_MPS2: Final = 9.80665
+"""What one g means, m/s² (3rd CGPM)."""
+
 GPS_PI: Final = 3.1415926535898
 """π as the broadcast message counts semicircles (IS-GPS-200 20.3.3.4.3.2)."""
 

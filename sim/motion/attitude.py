@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from deepgnss.core.attitude import matrix_from_euler
+from deepgnss.core.constants import STANDARD_GRAVITY_MPS2
 from deepgnss.core.records import FloatArray
 from deepgnss.sim.motion.jets import Jet, arctan, constant, power
 from deepgnss.sim.motion.paths import Ellipse
 from deepgnss.sim.motion.profile import breaks, derivatives
-
-STANDARD_GRAVITY_MPS2: Final = 9.80665
 
 
 class Angles(NamedTuple):

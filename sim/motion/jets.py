@@ -47,15 +47,6 @@ def arctan(jet: Jet) -> Jet:
     return jet.through(np.arctan(jet.x), f1, -2.0 * jet.x * f1**2)
 
 
-def angle_of(y: Jet, x: Jet) -> Jet:
-    """Angle of the direction (x, y), not both zero, in (−π, π]."""
-    square = x.x**2 + y.x**2
-    rate = (y.d * x.x - x.d * y.x) / square
-    growth = 2.0 * (x.x * x.d + y.x * y.d) / square
-    slope = (y.dd * x.x - x.dd * y.x) / square - rate * growth
-    return Jet(np.arctan2(y.x, x.x), rate, slope)
-
-
 def constant(value: float, n: int) -> Jet:
     """A quantity that does not change."""
     zero = np.zeros(n)

@@ -15,9 +15,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.interpolate import PPoly
 
+from deepgnss.core.constants import STANDARD_GRAVITY_MPS2
 from deepgnss.core.errors import ConfigError
 from deepgnss.core.records import FloatArray
-from deepgnss.sim.motion.attitude import STANDARD_GRAVITY_MPS2, Angles, banked
+from deepgnss.sim.motion.attitude import Angles, banked
 from deepgnss.sim.motion.jets import Jet, arctan
 from deepgnss.sim.motion.paths import Motion
 from deepgnss.sim.motion.profile import breaks, derivatives, smooth_profile

@@ -47,7 +47,8 @@ _SYNONYMS: Final = {
 _TIMES: Final = (("time_s",), ("week", "tow_s"), ("tow_s",))
 _GEODETIC: Final = ("lat_deg", "lon_deg", "height_m")
 _LOCAL: Final = ("north_m", "east_m", "height_m")
-_FORMS: Final = (_GEODETIC, _LOCAL, ("x_e_m", "y_e_m", "z_e_m"))
+_OF_IMU: Final = ("imu_lat_deg", "imu_lon_deg", "imu_height_m")
+_FORMS: Final = (_OF_IMU, _GEODETIC, _LOCAL, ("x_e_m", "y_e_m", "z_e_m"))
 _ANGLES: Final = ("roll_deg", "pitch_deg", "yaw_deg")
 _KNOWN: Final = {name for names in (*_TIMES, *_FORMS, _ANGLES) for name in names}
 
@@ -103,8 +104,9 @@ def read_track(path: Path, place: Place) -> tuple[TrackPath, TrackAttitude]:
 
     Time: `time_s`, or `tow_s` (GPS seconds of week, with or without `week`). Position: `lat_deg,
     lon_deg, height_m` (WGS-84), `north_m, east_m, height_m` (from the place), or `x_e_m, y_e_m,
-    z_e_m` (ECEF). Attitude: `roll_deg, pitch_deg, yaw_deg` against the NED frame of each row's
-    position; without, forward follows the course (held while the vehicle stands).
+    z_e_m` (ECEF); positions of the IMU (`imu_lat_deg`, …) come first where a truth file has them
+    beside the antenna's. Attitude: `roll_deg, pitch_deg, yaw_deg` against the NED frame of each
+    row's position; without, forward follows the course (held while the vehicle stands).
 
     Raises
     ------
@@ -188,12 +190,12 @@ def _positions(path: Path, columns: dict[str, FloatArray], place: Place) -> Floa
     """Positions (n, 3) in the local NED frame."""
     form = next((names for names in _FORMS if set(names) <= columns.keys()), None)
     if form is None:
-        forms = "; or ".join(", ".join(names) for names in _FORMS)
+        forms = "; or ".join(", ".join(names) for names in _FORMS[1:])
         raise InputFileError(f"{path}: no columns of position; expected {forms}")
     a, b, c = (columns[name] for name in form)
     if form == _LOCAL:
         return np.column_stack([a, b, -c])
-    if form == _GEODETIC:
+    if form in (_OF_IMU, _GEODETIC):
         a, b, c = pymap3d.geodetic2ecef(a, b, c)
     r_n_m: FloatArray = (np.column_stack([a, b, c]) - ecef(*place)) @ C_ne(*place[:2]).T
     return r_n_m

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+import pymap3d
 import pytest
 
 from deepgnss.core.errors import InputFileError
@@ -168,3 +170,22 @@ def test_yaw_may_pass_south_and_comments_stand_anywhere(tmp_path: Path) -> None:
     path.write_text("time_s,north_m,east_m,height_m\n0,0,0,0\n")
     with pytest.raises(InputFileError, match="1 rows; two at least make a track"):
         read_track(path, PLACE)
+
+
+def test_independent_drive_has_our_lever_arm_and_velocity(shared_data: Path) -> None:
+    """An INS library of others laid IMU, antenna, velocity and attitude along one drive."""
+    file = shared_data / "independent" / "drive" / "truth.csv"
+    truth = pd.read_csv(file)
+    truth = truth[truth["gps_tow_s"] > truth["gps_tow_s"][0] + 1.0]  # the spline's own start
+    place = Place(*np.radians(truth[["lat_deg", "lon_deg"]].to_numpy()[0]), 35.0)
+    vehicle = Vehicle(*place, *read_track(file, place))
+    t_s = truth["gps_tow_s"].to_numpy() - 561_628.0
+    antenna_e_m = pymap3d.geodetic2ecef(*truth[["lat_deg", "lon_deg", "height_m"]].to_numpy().T)
+    off_m = vehicle.point(t_s, (0.40, 0.10, -1.20)).r_m - np.column_stack(antenna_e_m)
+    assert np.abs(off_m).max() < 2e-4
+    seen = geographic(vehicle.pose(t_s))
+    v_n_mps = truth[["vn_mps", "ve_mps", "vd_mps"]].to_numpy()
+    assert np.ptp(v_n_mps, axis=0)[:2].min() > 5.0
+    assert np.sqrt(((seen.v_n_mps - v_n_mps) ** 2).mean()) < 5e-3
+    angles = np.radians(truth[["roll_deg", "pitch_deg", "heading_deg"]].to_numpy())
+    assert np.abs(np.sin(seen.euler_rad - angles)).max() < 1e-6

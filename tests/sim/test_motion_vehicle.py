@@ -9,10 +9,10 @@ import numpy as np
 import pymap3d
 import pytest
 
+from deepgnss.core.constants import STANDARD_GRAVITY_MPS2
 from deepgnss.core.frames import C_ne, ecef
 from deepgnss.core.records import FloatArray
 from deepgnss.sim.motion.attitude import (
-    STANDARD_GRAVITY_MPS2,
     Attitude,
     EllipseAttitude,
     Steady,
