@@ -117,10 +117,7 @@ class ImuWriter(Writer):
 
     def section(self, file: str | None) -> dict[str, Any]:
         """The section `imu` that reads the log back, without grade and lever arm."""
-        axes = self._axes if isinstance(self._axes, str) else [list(row) for row in self._axes]
-        keys: dict[str, Any] = {"file": file} if file else {}
-        keys |= {"format": self._format, "kind": self._kind, "units": dict(_UNITS[self._kind])}
-        return keys | ({"model": self._model} if self._model else {}) | {"axes": axes}
+        return section(file, self._format, self._kind, self._axes, self._model)
 
     def _novatel_lines(
         self, weeks: list[int], nanoseconds: FloatArray, readings: FloatArray
@@ -139,6 +136,20 @@ class ImuWriter(Writer):
             )
         for week, ns, row in zip(weeks, nanoseconds, counts.tolist(), strict=True):
             yield log_line(week, _tow(ns), row[3:], row[:3])
+
+
+def section(
+    file: str | None,
+    file_format: ImuFormat,
+    kind: ImuKind,
+    axes: str | Matrix,
+    model: NovatelModel | None,
+) -> dict[str, Any]:
+    """The section `imu` that reads such a log back, without grade and lever arm."""
+    rows = axes if isinstance(axes, str) else [list(row) for row in axes]
+    keys: dict[str, Any] = {"file": file} if file else {}
+    keys |= {"format": file_format, "kind": kind, "units": dict(_UNITS[kind])}
+    return keys | ({"model": model} if model else {}) | {"axes": rows}
 
 
 def _gpst(block: ImuBlock) -> tuple[Any, Any]:
