@@ -61,7 +61,7 @@ class ImuLog:
         self.path = path
         self.faults = Faults(path)
         self.outages: list[tuple[float, float]] = []
-        """Open gaps as seconds since the blocks' origin, from and to, in what was read so far."""
+        """Gaps of more than a second in what was read so far, from and to, s since the origin."""
         self.rate_hz: float | None = None
         """Rows per second as found; None before the first block is read."""
         self._config = config

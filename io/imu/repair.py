@@ -1,7 +1,7 @@
-"""From rows of readings to increments without holes: duplicates, gaps, times that go back.
+"""From rows of readings to increments over intervals: duplicates, gaps, times that go back.
 
-What a log lacks for up to a second is bridged by the straight line between the rates beside it;
-a longer stretch stays open, as an outage. Everything done is counted and said.
+An increment after a gap is that of its own interval alone; the gap stays between the intervals,
+for the navigator to bridge as far as it may. Everything found is counted and said.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from deepgnss.core.errors import InputFileError
 from deepgnss.core.records import FloatArray
 from deepgnss.io.imu.rows import Faults
 
-LONGEST_BRIDGE_S: Final = 1.0
+SHORT_GAP_S: Final = 1.0
 _GAP: Final = 1.5  # intervals: a longer step lacks rows
 _SAME_S: Final = 1e-6
 
@@ -56,11 +56,12 @@ class Repair:
         self._is_rate = is_rate
         self._interval_s = interval_s
         self._last_s: float | None = None
-        self._last_rates: FloatArray = np.zeros(6)
-        self.outages: list[tuple[float, float]] = []  # s since the origin: from, to
+        self.outages: list[
+            tuple[float, float]
+        ] = []  # s since the origin: from, to, longer than SHORT_GAP_S
 
     def __call__(self, stretch: Stretch) -> Increments:
-        """Increments of the next rows, those of bridged gaps among them.
+        """Increments of the next rows.
 
         Raises
         ------
@@ -72,29 +73,21 @@ class Repair:
         if n == 0:
             return Increments(steps_s, steps_s, np.empty((0, 3)), np.empty((0, 3)))
         is_gap = steps_s > _GAP * self._interval_s
+        self._say(stretch, np.flatnonzero(is_gap), steps_s)
         dt_s = np.where(is_gap, self._interval_s, steps_s)
-        sums = np.hstack([stretch.gyro, stretch.accel])
-        rates = sums if self._is_rate else sums / dt_s[:, np.newaxis]
-        before = np.vstack([self._last_rates, rates[:-1]])
-        pieces: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-        first = 0
-        for k in np.flatnonzero(is_gap).tolist():
-            pieces.append((stretch.end_s[first:k], dt_s[first:k], rates[first:k]))
-            missing_s = float(steps_s[k]) - self._interval_s
-            from_s = float(stretch.end_s[k]) - float(steps_s[k])
-            line = int(stretch.line[k])
-            if missing_s <= LONGEST_BRIDGE_S:
-                self._faults.add("gaps of up to 1 s bridged", line, seconds=missing_s)
-                pieces.append(self._bridge(from_s, missing_s, before[k], rates[k]))
+        span_s = dt_s[:, np.newaxis] if self._is_rate else 1.0
+        self._last_s = float(stretch.end_s[-1])
+        return Increments(stretch.end_s, dt_s, stretch.gyro * span_s, stretch.accel * span_s)
+
+    def _say(self, stretch: Stretch, at: NDArray[np.intp], steps_s: FloatArray) -> None:
+        for k in at.tolist():
+            missing_s, line = float(steps_s[k]) - self._interval_s, int(stretch.line[k])
+            if missing_s <= SHORT_GAP_S:
+                self._faults.add("gaps of up to 1 s", line, seconds=missing_s)
             else:
-                self._faults.add("outages longer than 1 s left open", line, seconds=missing_s)
-                self.outages.append((from_s, from_s + missing_s))
-            first = k
-        pieces.append((stretch.end_s[first:], dt_s[first:], rates[first:]))
-        self._last_s, self._last_rates = float(stretch.end_s[-1]), rates[-1]
-        end_s, dt_s, rates = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-        integrals = rates * dt_s[:, np.newaxis]
-        return Increments(end_s, dt_s, integrals[:, :3], integrals[:, 3:])
+                self._faults.add("outages of more than 1 s", line, seconds=missing_s)
+                to_s = float(stretch.end_s[k]) - self._interval_s
+                self.outages.append((to_s - missing_s, to_s))
 
     def _finite(self, stretch: Stretch) -> Stretch:
         good = np.asarray(np.isfinite(np.column_stack(stretch[1:])).all(axis=1), np.bool_)
@@ -124,12 +117,3 @@ class Repair:
             stretch = stretch.only(~same)
             steps_s = np.diff(stretch.end_s, prepend=start_s)
         return stretch, steps_s
-
-    def _bridge(
-        self, from_s: float, missing_s: float, before: FloatArray, after: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        count = max(round(missing_s / self._interval_s), 1)
-        share = np.arange(1, count + 1) / (count + 1.0)
-        rates = before + share[:, np.newaxis] * (after - before)
-        end_s = from_s + missing_s * np.arange(1, count + 1) / count
-        return end_s, np.full(count, missing_s / count), rates

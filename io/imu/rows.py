@@ -53,7 +53,7 @@ class Faults:
 
     def __iter__(self) -> Iterator[str]:
         """One line for each kind: file, first line of it, number, seconds."""
-        for fault in self._faults.values():
+        for fault in sorted(self._faults.values(), key=lambda fault: fault.line):
             duration = f", {fault.seconds:.3f} s in all" if fault.seconds else ""
             yield f"{self.path}:{fault.line}: {fault.what}: {fault.count}{duration}"
 

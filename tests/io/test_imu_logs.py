@@ -205,44 +205,41 @@ def ramp(n=200, rate_hz=100.0):
 RATES = {"kind": "rates", "units": {"gyro": "rad/s", "accel": "m/s^2"}}
 
 
-def test_gaps_of_up_to_a_second_are_bridged_and_said(tmp_path):
-    rows = ramp()
-    path = rows_of(tmp_path / "imu.csv", rows[:50] + rows[60:])
+def test_gaps_stay_between_the_intervals_and_are_said(tmp_path):
+    rows = ramp(500)
+    path = rows_of(tmp_path / "imu.csv", rows[:50] + rows[60:100] + rows[300:])
     log, got = read({"file": str(path)} | RATES)
-    _, whole = read({"file": str(rows_of(tmp_path / "whole.csv", rows))} | RATES)
-    assert_same(got, whole, atol_rad=1e-9, atol_mps=1e-9)
-    assert list(log.faults) == [f"{path}:52: gaps of up to 1 s bridged: 1, 0.100 s in all"]
-    assert log.outages == []
+    assert got.dt_s.size == 290 and got.dt_s == pytest.approx(0.01, rel=1e-6)
+    np.testing.assert_allclose(got.dtheta_b_rad[50], [0.6, 0.0, 0.0], rtol=1e-6)  # its own rate
+    short, long = log.faults
+    assert short == f"{path}:52: gaps of up to 1 s: 1, 0.100 s in all"
+    assert long == f"{path}:92: outages of more than 1 s: 1, 2.000 s in all"
+    assert log.outages == [(pytest.approx(0.99), pytest.approx(2.99))]
+    starts_s = got.time_s - got.dt_s
+    holes = np.flatnonzero(starts_s[1:] - got.time_s[:-1] > 1e-3) + 1
+    np.testing.assert_allclose(starts_s[holes], [0.59, 2.99], atol=1e-9)
 
 
 def test_increments_after_a_gap_are_of_their_own_interval(tmp_path):
     rows = [(*row[:2], 0.5, *row[3:]) for row in ramp()]
     path = rows_of(tmp_path / "imu.csv", rows[:50] + rows[53:])
     _, got = read({"file": str(path)})
-    assert got.dt_s.size == 200 and got.dtheta_b_rad[:, 0] == pytest.approx(0.5, rel=1e-6)
+    assert got.dt_s == pytest.approx(0.01, rel=1e-6)
+    assert got.dtheta_b_rad[:, 0] == pytest.approx(0.5)
 
 
-def test_longer_gaps_stay_open(tmp_path):
-    rows = ramp(500)
-    path = rows_of(tmp_path / "imu.csv", rows[:50] + rows[250:])
-    log, got = read({"file": str(path)} | RATES)
-    assert got.dt_s.size == 300 and got.dt_s == pytest.approx(0.01, rel=1e-6)
-    assert log.outages == [(pytest.approx(0.49), pytest.approx(2.49))]
-    assert "outages longer than 1 s left open: 1, 2.000 s in all" in next(iter(log.faults))
-
-
-def test_what_is_no_number_is_left_out_and_bridged(tmp_path):
+def test_what_is_no_number_is_left_out_and_said(tmp_path):
     rows = ramp()
     rows[20] = (2290, rows[20][1], "nan", 0, 0, 0, 0, -10)
     rows[30] = (2290, "garbage", 30, 0, 0, 0, 0, -10)
     rows[40] = (2290, rows[40][1], 40)
     path = rows_of(tmp_path / "imu.csv", rows)
     log, got = read({"file": str(path)} | RATES)
-    assert got.dt_s.size == 200
-    np.testing.assert_allclose(got.dtheta_b_rad[1:, 0], np.arange(1, 200) * 0.01, rtol=1e-6)
+    kept = np.setdiff1d(np.arange(1, 200), [20, 30, 40])
+    np.testing.assert_allclose(got.dtheta_b_rad[1:, 0], kept * 0.01, rtol=1e-6)
     bad, gaps = log.faults
     assert bad == f"{path}:22: rows that are not six numbers and a time left out: 3"
-    assert gaps.startswith(f"{path}:23: gaps of up to 1 s bridged: 3")
+    assert gaps == f"{path}:23: gaps of up to 1 s: 3, 0.030 s in all"
 
 
 def test_duplicates_go_and_time_that_goes_back_is_refused(tmp_path):
