@@ -314,6 +314,8 @@ def select(
 
 
 def with_ephemeris(nav: NavData, ephemeris: Ephemeris) -> NavData:
-    """Navigation data enriched by an ephemeris."""
+    """Navigation data enriched by an ephemeris; one that is known, told again, adds nothing."""
     known = nav.ephemerides.get(ephemeris.satellite, ())
+    if any(replace(old, transmitted=ephemeris.transmitted) == ephemeris for old in known):
+        return nav
     return replace(nav, ephemerides={**nav.ephemerides, ephemeris.satellite: (*known, ephemeris)})
