@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -14,6 +15,12 @@ from deepgnss.core.records import FloatArray
 # From 0 to 1 over u in [0, 1], coefficients of u⁰, u¹, …: the named number of derivatives vanish
 # at both ends.
 _BLENDS: Final = {1: (0.0, 0.0, 3.0, -2.0), 2: (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)}
+
+STEEPNESS: Final = 1.875
+"""Largest slope of the step 10u³ − 15u⁴ + 6u⁵."""
+
+BENDING: Final = 10.0 / math.sqrt(3.0)
+"""Largest second derivative of it."""
 
 
 def smooth_profile(points: Sequence[tuple[float, float]], flat: int = 1) -> PPoly:

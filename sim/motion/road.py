@@ -18,7 +18,7 @@ from scipy.interpolate import PPoly
 
 from deepgnss.core.errors import ConfigError
 from deepgnss.core.records import FloatArray
-from deepgnss.sim.motion.profile import smooth_profile
+from deepgnss.sim.motion.profile import STEEPNESS, smooth_profile
 
 Points = list[tuple[float, float]]
 
@@ -40,7 +40,7 @@ class Waypoint(NamedTuple):
 
 
 class Bend(NamedTuple):
-    """Where along the road a bend begins and ends, and its smallest radius."""
+    """Where along the road a bend begins and ends, and its smallest radius, m."""
 
     begin_m: float
     end_m: float
@@ -65,6 +65,7 @@ class Road:
     plan: PPoly  # north, east in m
     height: PPoly  # m, positive up
     bends: tuple[Bend, ...]
+    crests: tuple[Bend, ...]  # and sags: where grades pass into each other
 
     def wrapped(self, s_m: FloatArray) -> FloatArray:
         """Arc lengths as the polynomials know them: within the first lap of a closed road."""
@@ -155,7 +156,8 @@ def lay_road(
             for s, w in zip(middles, waypoints, strict=True)
             if w.height_m is not None
         ]
-    return Road(s_m, closed, heading, plan, _height(heights, s_m, closed), tuple(bends))
+    height, crests = _height(heights, s_m, closed)
+    return Road(s_m, closed, heading, plan, height, tuple(bends), crests)
 
 
 class _Corner(NamedTuple):
@@ -216,12 +218,14 @@ def _plan(heading: PPoly) -> PPoly:
     return PPoly(powers * scale[..., None], x).antiderivative()
 
 
-def _height(heights: Sequence[tuple[float, float]], length_m: float, closed: bool) -> PPoly:
-    """Height along the road: straight grades, rounded where they meet."""
+def _height(
+    heights: Sequence[tuple[float, float]], length_m: float, closed: bool
+) -> tuple[PPoly, tuple[Bend, ...]]:
+    """Height along the road: straight grades, rounded where they meet; and where that is."""
     if len(heights) < 2:
         level = smooth_profile([(0.0, 0.0)], flat=2)
         level.c[-1] += heights[0][1] if heights else 0.0
-        return level
+        return level, ()
     known = np.array(heights)
     if closed:
         lap = np.array([length_m, 0.0])
@@ -237,17 +241,18 @@ def _height(heights: Sequence[tuple[float, float]], length_m: float, closed: boo
             f" {abs(grades[steepest]):.0%}; expected up to {_STEEPEST:.0%}"
         )
     # Level beyond the heights given, unless they reach the road's end.
-    before = grades[0] if closed or known[0][0] <= 0.0 else 0.0
-    after = grades[-1] if closed or known[-1][0] >= length_m else 0.0
-    slopes = np.concatenate([[before], grades, [after]])
+    first = grades[0] if closed or known[0][0] <= 0.0 else 0.0
+    last = grades[-1] if closed or known[-1][0] >= length_m else 0.0
+    slopes = np.concatenate([[first], grades, [last]])
     room = np.concatenate([[np.inf], apart, [np.inf]])
     half = np.minimum(0.4 * np.minimum(room[:-1], room[1:]), _CREST_M)
-    points = [
-        (s + side * e, slopes[i + (side > 0)])
-        for i, (s, e) in enumerate(zip(known[:, 0], half, strict=True))
-        for side in (-1.0, 1.0)
-    ]
+    points: Points = []
+    crests = []
+    for s, e, before, after in zip(known[:, 0], half, slopes, slopes[1:], strict=False):
+        points += [(s - e, before), (s + e, after)]
+        if before != after:
+            crests.append(Bend(s - e, s + e, 2.0 * e / (STEEPNESS * abs(after - before))))
     height = smooth_profile(points, flat=2)
     middle = (known[0] + known[1]) / 2.0  # on a straight grade
     height.c[-1] += middle[1] - height(middle[0])
-    return height
+    return height, tuple(c for c in crests if c.end_m > 0.0 and c.begin_m < length_m)

@@ -296,7 +296,7 @@ class StreetConfig(Section):
     jerk: Jerk = 2.0
     """m/s^3, at most, along the road."""
     lateral: Annotated[float, Quantity(0.0, 100.0, "m/s^2", above=True)] = 2.5
-    """m/s^2 in bends, at most."""
+    """m/s^2 in bends, and over crests and sags, at most."""
     bank: Share = 0.0
     """Roll into turns, as share of the angle at which the lateral acceleration is not felt;
     negative: out of them."""

@@ -21,12 +21,15 @@ from deepgnss.core.records import FloatArray
 from deepgnss.sim.motion.attitude import Angles, banked
 from deepgnss.sim.motion.jets import Jet, arctan
 from deepgnss.sim.motion.paths import Motion
-from deepgnss.sim.motion.profile import breaks, derivatives, smooth_profile
+from deepgnss.sim.motion.profile import (
+    BENDING,
+    STEEPNESS,
+    breaks,
+    derivatives,
+    smooth_profile,
+)
 from deepgnss.sim.motion.road import Road
 
-# Largest first and second derivative of the step 10u³ − 15u⁴ + 6u⁵.
-_STEEPNESS: Final = 1.875
-_BENDING: Final = 10.0 / math.sqrt(3.0)
 _SAME_M: Final = 1e-6
 _SAME_MPS: Final = 1e-9
 _SAME_S: Final = 1e-9
@@ -40,7 +43,7 @@ class Limits(NamedTuple):
     acceleration_mps2: float = 2.0
     braking_mps2: float = 2.5
     jerk_mps3: float = 2.0
-    lateral_mps2: float = 2.5
+    lateral_mps2: float = 2.5  # in bends, and up and down over crests and sags
 
 
 class Zone(NamedTuple):
@@ -156,7 +159,7 @@ def drive(
     offsets = [lap * road.length_m for lap in range(laps + 1)] if road.closed else [0.0]
     slow = [
         Zone(bend.begin_m, bend.end_m, math.sqrt(limits.lateral_mps2 * bend.radius_m))
-        for bend in road.bends
+        for bend in (*road.bends, *road.crests)
     ]
     zones = [
         Zone(zone.begin_m + offset, zone.end_m + offset, zone.speed_mps)
@@ -262,7 +265,7 @@ def _change(before_mps: float, after_mps: float, limits: Limits) -> _Change:
     """The quickest smooth step from one speed to another."""
     step = abs(after_mps - before_mps)
     most = limits.acceleration_mps2 if after_mps > before_mps else limits.braking_mps2
-    seconds = max(_STEEPNESS * step / most, math.sqrt(_BENDING * step / limits.jerk_mps3))
+    seconds = max(STEEPNESS * step / most, math.sqrt(BENDING * step / limits.jerk_mps3))
     return _Change(seconds, (before_mps + after_mps) / 2.0 * seconds)
 
 

@@ -190,6 +190,18 @@ def test_drive_is_brisk() -> None:
     assert s(s.x[-2]) == pytest.approx(30.0, abs=1e-9)
 
 
+def test_slow_over_a_steep_hump() -> None:
+    road = lay_road(
+        [Waypoint(0.0, 0.0), Waypoint(400.0, 0.0)],
+        radius_m=10.0,
+        heights=[(200.0, 0.0), (203.0, 0.4), (206.0, 0.0)],
+    )
+    path = StreetPath(road, drive(road, LIMITS))
+    motion = path(np.linspace(0.0, path.arrival_s, 20_001))
+    assert np.abs(motion.a_mps2[:, 2]).max() == pytest.approx(LIMITS.lateral_mps2, rel=0.02)
+    assert motion.v_mps[:, 0].max() > 13.0
+
+
 def test_start_in_motion() -> None:
     s = drive(STREET, LIMITS, start_m=20.0, speed_mps=11.0)
     assert s(-5.0) == pytest.approx(20.0 - 55.0)
