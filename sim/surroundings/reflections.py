@@ -6,6 +6,7 @@ reaches the image 2D·(d·n) later, and the wall lets through what its outline c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -50,16 +51,18 @@ def image(screens: Screens, piece: int, rays: Rays) -> Image:
 
 
 def in_reach(
-    screens: Screens, pieces: NDArray[np.int64], rays: Rays, wavelength_m: float
-) -> NDArray[np.bool_]:
-    """Which of the pieces (k,) may reflect any of the rays: all that do, and few that do not."""
-    panels = screens.first[pieces]
+    screens: Screens, mirrors: Sequence[Mirror], rays: Rays, wavelength_m: float
+) -> set[int]:
+    """Pieces of mirrors that may reflect any of the rays: all that do, and few others."""
+    pieces = np.array([piece for mirror in mirrors for piece in mirror.pieces], dtype=np.int64)
+    if not pieces.size:
+        return set()
+    panels, swath = screens.first[pieces], Swath.of(rays)
     normals = screens.normals[panels]
-    middle = rays.start_m.mean(axis=0)
-    behind = np.einsum("ki,ki->k", middle - screens.corners_m[panels, 0], normals)
-    swath = Swath.of(rays)
-    images = middle - 2.0 * behind[:, None] * normals
-    return swath.meets(images, screens.centres_m[pieces], screens.radii_m[pieces], wavelength_m)
+    behind = np.einsum("ki,ki->k", swath.middle_m - screens.corners_m[panels, 0], normals)
+    images = swath.middle_m - 2.0 * behind[:, None] * normals
+    spheres = screens.centres_m[pieces], screens.radii_m[pieces]
+    return set(pieces[swath.meets(images, *spheres, wavelength_m)].tolist())
 
 
 def owners(

@@ -54,9 +54,9 @@ class Scene:
         direct = self._left(sight, view.satellite, wavelength_m)
         amplitude = np.zeros((self.rays, direct.size))
         excess_m = np.zeros_like(amplitude)
+        shining = in_reach(self.screens, self.mirrors, sight, wavelength_m)
         for row, mirror in enumerate(self.mirrors):
-            pieces = np.array(mirror.pieces)
-            if not in_reach(self.screens, pieces, sight, wavelength_m).any():
+            if shining.isdisjoint(mirror.pieces):
                 continue
             owner, weight = owners(mirror, self.screens, sight.start_m)
             for piece in np.unique(owner).tolist():

@@ -24,6 +24,8 @@ _CLEAR_V: Final = -0.78  # P.526: no loss from here on
 _DARK_V: Final = 22.5  # 40 dB: taken as nothing
 _LEVEL: Final = 10.0 ** (6.9 / 20.0)
 
+_Vector = tuple[float, float, float]
+
 
 class Screens(NamedTuple):
     """Panels (m), their pieces (p) and bodies made ready for the kernels."""
@@ -128,10 +130,17 @@ def shade(
     """
     left = np.ones(len(rays.start_m))
     worst = np.full(left.size, -1, dtype=np.int64)
+    darkest = np.full(left.size, 0.01)
     chosen = near(screens, rays, wavelength_m)
     chosen = chosen[chosen != skip]
-    if chosen.size:
-        _shade(rays, screens, chosen, wavelength_m, bending, left, worst)
+    for body, pieces in itertools.groupby(chosen.tolist(), lambda piece: screens.body[piece]):
+        hidden = np.zeros(left.size)
+        for piece in pieces:
+            np.maximum(hidden, caught(screens, piece, rays, wavelength_m, bending), out=hidden)
+        hidden *= 1.0 - screens.passing[piece]
+        left *= 1.0 - hidden
+        worst[hidden > darkest] = body
+        np.maximum(darkest, hidden, out=darkest)
     return left, worst
 
 
@@ -140,125 +149,128 @@ def caught(
 ) -> FloatArray:
     """Part (n,) of the amplitude that one piece catches, whatever it lets through."""
     part = np.empty(len(rays.start_m))
-    _caught(rays, screens, piece, wavelength_m, bending, part)
+    _hide(rays, screens, piece, wavelength_m, bending, part)
     return part
 
 
 @kernel
-def _shade(
-    rays: Rays,
-    screens: Screens,
-    chosen: NDArray[np.int64],
-    wavelength: float,
-    bending: bool,
-    left: FloatArray,
-    worst: NDArray[np.int64],
-) -> None:
-    """Multiply `left` by what each body of the chosen pieces leaves; note the darkest."""
-    for n in range(left.size):
-        darkest = 0.01
-        taken, body = 0.0, -1
-        for piece in chosen:
-            if screens.body[piece] != body:
-                left[n] *= 1.0 - taken
-                taken, body = 0.0, screens.body[piece]
-            part = _hidden(rays, n, screens, piece, wavelength, bending)
-            taken = max(taken, part * (1.0 - screens.passing[piece]))
-            if taken > darkest:
-                darkest = taken
-                worst[n] = body
-        left[n] *= 1.0 - taken
-
-
-@kernel
-def _caught(
+def _hide(
     rays: Rays, screens: Screens, piece: int, wavelength: float, bending: bool, part: FloatArray
 ) -> None:
-    """Part of the amplitude that one piece hides."""
+    """Part of the amplitude of each ray's source that a piece hides.
+
+    Vectors are tuples here: views of arrays would cost more than the arithmetic.
+    """
+    corners, edges, cut, normals = screens.corners_m, screens.edges, screens.cut, screens.normals
+    first, end = screens.first[piece], screens.first[piece + 1]
+    centre, radius = _row(screens.centres_m, piece), screens.radii_m[piece]
     for n in range(part.size):
-        part[n] = _hidden(rays, n, screens, piece, wavelength, bending)
+        r, d = _row(rays.start_m, n), _row(rays.along, n)
+        part[n] = 0.0
+        if _near(r, d, centre, radius, wavelength if bending else 0.0):
+            enter, part[n] = _hidden(
+                r, d, corners, edges, cut, normals, first, end, wavelength, bending
+            )
+            if enter >= rays.reach_m[n]:
+                part[n] = 0.0
 
 
 @kernel
 def _hidden(
-    rays: Rays, n: int, screens: Screens, piece: int, wavelength: float, bending: bool
-) -> float:
-    """Part of the amplitude of ray n's source that a piece hides."""
-    r, d = rays.start_m[n], rays.along[n]
-    if not _touches(r, d, screens, piece, wavelength, bending):
-        return 0.0
-    first, end = screens.first[piece], screens.first[piece + 1]
+    r: _Vector,
+    d: _Vector,
+    corners: FloatArray,
+    edges: NDArray[np.int64],
+    cut: NDArray[np.bool_],
+    normals: FloatArray,
+    first: int,
+    end: int,
+    wavelength: float,
+    bending: bool,
+) -> tuple[float, float]:
+    """Way to the piece of panels [first, end), and the part that it hides of a source along d."""
     hidden, enter = 1.0, 0.0
     outside = far_outside = False
     for m in range(first, end):
-        height = _height(r, screens, m)
+        height = _height(r, corners, normals, m)
         if height <= 0.0 and end - first > 1:
             continue  # a solid's outline bounds the faces that are seen
-        normal = screens.normals[m]
-        slope = d[0] * normal[0] + d[1] * normal[1] + d[2] * normal[2]
+        slope = _dot(d, _row(normals, m))
         if height * slope < 0.0:
             enter = max(enter, -height / slope)
         for i in range(4):
-            kind = screens.edges[m, i]
-            if kind >= 0 and _height(r, screens, kind) > 0.0:
+            kind = edges[m, i]
+            if kind >= 0 and _height(r, corners, normals, kind) > 0.0:
                 continue  # between two faces that are seen
-            p, q = screens.corners_m[m, i], screens.corners_m[m, (i + 1) % 4]
-            px, py, pz = p[0] - r[0], p[1] - r[1], p[2] - r[2]
-            ex, ey, ez = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+            corner = _corner(corners, m, i)
+            p = _minus(corner, r)
+            e = _minus(_corner(corners, m, (i + 1) % 4), corner)
             # common perpendicular d × e of ray and edge: its part of p is by how much they miss
-            cx, cy, cz = d[1] * ez - d[2] * ey, d[2] * ex - d[0] * ez, d[0] * ey - d[1] * ex
-            inside = px * cx + py * cy + pz * cz
+            c = _cross(d, e)
+            inside = _dot(p, c)
             if height < 0.0:
                 inside = -inside
-            sharp = not bending or kind == _SEAM or screens.cut[m]
-            if sharp or (kind >= 0 and screens.cut[kind]):
+            sharp = not bending or kind == _SEAM or cut[m]
+            if sharp or (kind >= 0 and cut[kind]):
                 if inside < 0.0:
-                    return 0.0
+                    return enter, 0.0
                 continue
-            # where along ray (times |d × e|²) and edge (0 to 1) they are nearest
-            square = cx * cx + cy * cy + cz * cz + 1.0e-12
-            way = (py * ez - pz * ey) * cx + (pz * ex - px * ez) * cy + (px * ey - py * ex) * cz
-            at = (py * d[2] - pz * d[1]) * cx + (pz * d[0] - px * d[2]) * cy
-            at = (at + (px * d[1] - py * d[0]) * cz) / square
+            # where along ray and edge (0 to 1) they are nearest
+            square = _dot(c, c) + 1.0e-12
+            way = _dot(_cross(p, e), c) / square
+            at = _dot(_cross(p, d), c) / square
             # Beyond its ends an edge fades out over the width of the bend: others bound there.
-            width = -_CLEAR_V * math.sqrt(0.5 * wavelength * max(way / square, 1.0e-3))
+            width = -_CLEAR_V * math.sqrt(0.5 * wavelength * max(way, 1.0e-3))
             fade = 1.0 - max(-at, at - 1.0, 0.0) * math.sqrt(square) / width
             if fade <= 0.0:
                 far_outside = far_outside or inside < 0.0
                 continue
             outside = outside or inside < 0.0
             if way > 0.0:
-                v = inside * math.sqrt(2.0 / (wavelength * way))
+                v = inside * math.sqrt(2.0 / (wavelength * way * square))
                 hidden *= 1.0 - _knife_edge(v) * fade
             elif inside < 0.0:
                 hidden *= 1.0 - fade
             if hidden == 0.0:
-                return 0.0
-    if enter >= rays.reach_m[n] or (far_outside and not outside):
-        return 0.0
-    return hidden
+                return enter, 0.0
+    return enter, 0.0 if far_outside and not outside else hidden
 
 
 @kernel
-def _touches(
-    r: FloatArray, d: FloatArray, screens: Screens, piece: int, wavelength: float, bending: bool
-) -> bool:
-    """Whether the ray comes near the sphere around a piece."""
-    centre, radius = screens.centres_m[piece], screens.radii_m[piece]
-    x, y, z = centre[0] - r[0], centre[1] - r[1], centre[2] - r[2]
-    ahead = x * d[0] + y * d[1] + z * d[2]
-    square = x * x + y * y + z * z
-    if bending:
-        radius -= _CLEAR_V * math.sqrt(wavelength * (math.sqrt(square) + radius) / 2.0)
-    aside = square - ahead * ahead
-    return bool(ahead > -radius and aside < radius * radius)
+def _near(r: _Vector, d: _Vector, centre: _Vector, radius: float, wavelength: float) -> bool:
+    """Whether a ray comes near a sphere, or within its bend."""
+    to = _minus(centre, r)
+    ahead, square = _dot(to, d), _dot(to, to)
+    wide = radius - _CLEAR_V * math.sqrt(0.5 * wavelength * (math.sqrt(square) + radius))
+    return bool(ahead > -wide and square - ahead * ahead < wide * wide)
 
 
 @kernel
-def _height(r: FloatArray, screens: Screens, m: int) -> float:
+def _height(r: _Vector, corners: FloatArray, normals: FloatArray, m: int) -> float:
     """Distance of r in front of panel m's plane, m."""
-    corner, normal = screens.corners_m[m, 0], screens.normals[m]
-    height = 0.0
-    for axis in range(3):
-        height += (r[axis] - corner[axis]) * normal[axis]
-    return height
+    return _dot(_minus(r, _corner(corners, m, 0)), _row(normals, m))
+
+
+@kernel
+def _row(array: FloatArray, n: int) -> _Vector:
+    return array[n, 0], array[n, 1], array[n, 2]
+
+
+@kernel
+def _corner(array: FloatArray, m: int, i: int) -> _Vector:
+    return array[m, i, 0], array[m, i, 1], array[m, i, 2]
+
+
+@kernel
+def _minus(a: _Vector, b: _Vector) -> _Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@kernel
+def _dot(a: _Vector, b: _Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def _cross(a: _Vector, b: _Vector) -> _Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
