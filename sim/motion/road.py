@@ -203,7 +203,8 @@ def _plan(heading: PPoly) -> PPoly:
     """North and east along a heading: the integral of its direction, cut into slight turns."""
     knots = [heading.x[:1]]
     for begin, end in itertools.pairwise(heading.x):
-        pieces = max(1, math.ceil(np.ptp(heading([begin, end])) / _PIECE_RAD))
+        turn = float(np.ptp(heading([begin, end])))
+        pieces = math.ceil(turn / _PIECE_RAD) + 3 if turn > 0.0 else 1
         knots.append(np.linspace(begin, end, pieces + 1)[1:])
     x = np.concatenate(knots)
     width = np.diff(x)
