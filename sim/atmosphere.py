@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 
 from deepgnss.core.constants import BDT_MINUS_GPST_S, SPEED_OF_LIGHT_MPS
-from deepgnss.core.errors import ConfigError
 from deepgnss.core.records import BDS_B1I, GPS_L1CA, FloatArray, Klobuchar, SignalId
 
 _NIGHT_S: Final = 5.0e-9
@@ -31,18 +30,14 @@ def ionosphere_of(
     elevation_rad: FloatArray,
     tow_s: FloatArray,
 ) -> FloatArray:
-    """Group delay of a signal by its system's own coefficients, or else by those of GPS, m, (n,).
+    """Group delay of a signal by its system's own coefficients or else the other's, m, (n,).
 
-    Parameters: models by system letter, tow_s in GPST.
+    Parameters: models by system letter, at least one; tow_s in GPST.
     """
-    delay_m = ionosphere_m
-    if signal.system == "C" and "C" in models:
-        delay_m = beidou_ionosphere_m
-    model = models.get(signal.system, models.get("G"))
-    if model is None:
-        raise ConfigError(f"ionosphere: the NAV data hold no coefficients of {signal.system} or G")
+    system = signal.system if signal.system in models else next(iter(models))
+    delay_m = beidou_ionosphere_m if system == "C" else ionosphere_m
     place = latitude_rad, longitude_rad, azimuth_rad, elevation_rad
-    return delay_m(model, *place, tow_s, signal.carrier_hz)
+    return delay_m(models[system], *place, tow_s, signal.carrier_hz)
 
 
 def ionosphere_m(

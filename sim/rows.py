@@ -13,15 +13,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deepgnss.core.constants import BDT_MINUS_GPST_S
 from deepgnss.core.records import FloatArray
 from deepgnss.sim.delays import Nodes, hermite_cubics
-from deepgnss.sim.navbits import Symbols, lnav_symbols
+from deepgnss.sim.navbits import Symbols, sent_symbols
 from deepgnss.sim.scenario import Emitter, FrontEnd, Scenario
 from deepgnss.sim.synthesis import code_windows
 
 STENCIL: Final = (2, 3)  # nodes the cubics need before the first interval and from its last end on
-_TIME_ZERO_S: Final = {"C": BDT_MINUS_GPST_S}  # system time − GPST, where it is not zero
 
 IntArray = NDArray[np.int64]
 
@@ -71,8 +69,6 @@ def row_source(scenario: Scenario, front_end: FrontEnd) -> RowSource:
     residual_hz = carrier_hz - front_end.centre_hz + front_end.intermediate_hz
     whole_s = math.floor(scenario.start.tow_s)
     fraction_s = scenario.start.tow_s - whole_s
-    zero_s = [whole_s + round(_TIME_ZERO_S.get(e.signal.id.system, 0.0)) for e in emitters]
-    system_s = np.array(zero_s, dtype=np.int64)[:, None]
 
     def rows(nodes: Nodes, first_ms: int) -> Rows:
         ms = np.arange(first_ms, first_ms + nodes.code_s.shape[1] - sum(STENCIL))
@@ -85,7 +81,7 @@ def row_source(scenario: Scenario, front_end: FrontEnd) -> RowSource:
         carrier = hermite_cubics(-carrier_hz * nodes.carrier_s[heard])
         carrier[..., 0] += np.mod(residual_hz * 1.0e-3 * ms, 1.0)
         carrier[..., 1] += residual_hz * 1.0e-3
-        # Chips sent since the signal's time zero, whole seconds apart in integers: a week has
+        # Chips sent since the start of the GPS week, whole seconds apart in integers: a week has
         # 6e11 chips.
         chips_per_ms = np.round(chip_hz / 1000.0).astype(np.int64)
         code = hermite_cubics((fraction_s - nodes.code_s[heard]) * chip_hz)
@@ -99,7 +95,7 @@ def row_source(scenario: Scenario, front_end: FrontEnd) -> RowSource:
         code[reflected, :, :2] -= chip_hz[which[reflected], :, None] * delay_s
         whole = np.floor(code[..., 0])
         code[..., 0] -= whole
-        base = whole.astype(np.int64) + (system_s * 1000 + ms)[which] * chips_per_ms[which]
+        base = whole.astype(np.int64) + (whole_s * 1000 + ms) * chips_per_ms[which]
         period, chip = np.divmod(base, sizes[which, None])
         first_period = period.min(axis=1, initial=np.iinfo(np.int64).max) - 1
         count = int((period.max(axis=1, initial=0) - first_period).max(initial=0)) + 4
@@ -142,7 +138,7 @@ def _detours(excess_s: FloatArray, heard: NDArray[np.bool_]) -> FloatArray:
 def symbols_of(scenario: Scenario, emitter: Emitter) -> Symbols:
     """What an emitter sends during the recording, and a little before and after."""
     ephemeris = scenario.orbit_set(emitter.satellite)
-    return lnav_symbols(scenario.nav, ephemeris, scenario.start, scenario.seconds)
+    return sent_symbols(emitter.signal, scenario.nav, ephemeris, scenario.start, scenario.seconds)
 
 
 def _schedule(emitter: Emitter, front_end: FrontEnd) -> tuple[FloatArray, FloatArray]:
@@ -158,7 +154,7 @@ def _levels(schedule: tuple[FloatArray, FloatArray], ms: IntArray) -> FloatArray
 
 
 def _signs(emitter: Emitter, symbols: Symbols, periods: IntArray) -> Sequence[int]:
-    """Symbol × secondary code of code periods (n,) since the signal's time zero."""
+    """Symbol × secondary code of code periods (n,) since the start of the GPS week."""
     signal = emitter.signal
     out = symbols.values[periods // signal.symbol_periods - symbols.first]
     if signal.secondary_code:

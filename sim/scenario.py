@@ -197,8 +197,8 @@ class Scenario:
         missing = [e.satellite for e in self.emitters if not self.nav.ephemerides.get(e.satellite)]
         if missing:
             raise ConfigError(f"satellites: no ephemeris of {', '.join(missing)} in the NAV data")
-        if self.ionosphere and "G" not in self.nav.klobuchar:
-            raise ConfigError("ionosphere: the NAV data hold no Klobuchar coefficients of GPS")
+        if self.ionosphere and not self.nav.klobuchar:
+            raise ConfigError("ionosphere: the NAV data hold no Klobuchar coefficients")
         for stream in self.streams:
             if not 0 <= stream.antenna < len(self.antennas):
                 raise ConfigError(f"streams: {stream.name}: there is no antenna {stream.antenna}")

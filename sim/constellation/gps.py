@@ -1,4 +1,4 @@
-"""A synthetic nominal GPS constellation: realistic orbits and clocks, nothing foreign in it.
+"""A nominal GPS constellation.
 
 The 24 slots of the GPS standard (SPS Performance Standard, 3.2) with one spare in the widest gap
 of each plane, small deviations drawn from a seed, all rounded to what a message can carry: what
@@ -8,15 +8,16 @@ is broadcast is the truth.
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from deepgnss.core.constants import EARTH_RATE_RADPS, GM_GPS_M3PS2, SECONDS_PER_WEEK
-from deepgnss.core.records import Ephemeris, Klobuchar, NavData, UtcParameters
-from deepgnss.core.time import GpsTime, leap_seconds_at
+from deepgnss.core.records import Ephemeris, Klobuchar, NavData
+from deepgnss.core.time import GpsTime
 from deepgnss.receiver.lnav import PAGES
+from deepgnss.sim.constellation.sets import rounded, utc_at
 
 _SEMI_MAJOR_M: Final = 26_559_710.0
 _INCLINATION_RAD: Final = math.radians(55.0)
@@ -25,6 +26,8 @@ _MEAN_MOTION_RADPS: Final = math.sqrt(GM_GPS_M3PS2 / _SEMI_MAJOR_M**3)
 _EPOCH: Final = GpsTime(2190, 0.0)  # the instant at which the slots below hold
 _SET_S: Final = 7_200.0  # a new ephemeris every two hours, toe in the middle of its four
 _LEAD_S: Final = 7_200.0  # from the first transmission of a set to its toe
+
+_SCALES: Final = {field.name: field.scale for page in (1, 2, 3) for field in PAGES[page]}
 
 # Longitude of the ascending node at the epoch and arguments of latitude per plane, degrees.
 _PLANES: Final = {
@@ -61,18 +64,7 @@ def nominal_gps(start: GpsTime, seconds: float, seed: int = 24) -> NavData:
         ephemerides[elements.satellite] = tuple(
             _at(elements, GpsTime(start.week, 0.0).plus(k * _SET_S)) for k in sets
         )
-    leap_s = leap_seconds_at(start.utc())
-    reference = GpsTime(start.week, 0.0).plus(round(start.tow_s / 4096.0) * 4096.0)
-    utc = UtcParameters(
-        a0_s=2.0**-30,
-        a1_sps=-3 * 2.0**-50,
-        reference=reference,
-        leap_s=leap_s,
-        leap_future_s=leap_s,
-        leap_week=start.week,
-        leap_day=7,
-    )
-    return NavData(ephemerides=ephemerides, klobuchar={"G": KLOBUCHAR}, utc=utc)
+    return NavData(ephemerides=ephemerides, klobuchar={"G": KLOBUCHAR}, utc=utc_at(start))
 
 
 def _widest_gap(arguments: tuple[float, ...]) -> float:
@@ -143,12 +135,4 @@ def _at(elements: Ephemeris, sent: GpsTime) -> Ephemeris:
         omega0_rad=math.remainder(node_rad, 2.0 * math.pi),
         i0_rad=elements.i0_rad + elements.idot_radps * drifted_s,
     )
-    return _rounded(moved)
-
-
-def _rounded(ephemeris: Ephemeris) -> Ephemeris:
-    """Every element rounded to the message's last bit (IS-GPS-200 tables 20-I to 20-III)."""
-    scales = {field.name: field.scale for page in (1, 2, 3) for field in PAGES[page]}
-    real = [f.name for f in fields(ephemeris) if f.type == "float" and f.name in scales]
-    rounded = {n: round(getattr(ephemeris, n) / scales[n]) * scales[n] for n in real}
-    return replace(ephemeris, **rounded)
+    return rounded(moved, _SCALES)
