@@ -98,5 +98,5 @@ def _fill(start: np.uint64, out: NDArray[np.float32]) -> None:
             q = ints[2 * _STRETCH + j]
             a = sine if q & 1 else cosine
             b = cosine if q & 1 else sine
-            in_phase[j] = -radius * a if q & 2 else radius * a
-            quadrature[j] = -radius * b if (q + 1) & 2 else radius * b
+            in_phase[j] = -radius * a if (q + 1) & 2 else radius * a
+            quadrature[j] = -radius * b if q & 2 else radius * b
