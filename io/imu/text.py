@@ -22,10 +22,9 @@ def read_csv(path: Path, columns: Sequence[str] | None, units: ImuUnitsConfig) -
 
     Commas, semicolons, tabs or blanks may part the fields; comments may stand on top.
     """
-    first, text = _first_line(path)
+    (first, text), (_, second) = _first_lines(path)
     separator = next((mark for mark in (",", ";", "\t") if mark in text), r"\s+")
-    fields = [field.strip() for field in (text.split() if separator == r"\s+" else
-              text.split(separator))]  # fmt: skip
+    fields = _fields(text, separator)
     has_header = not any(_is_number(field) for field in fields)
     if not has_header and columns is None:
         raise InputFileError(
@@ -34,13 +33,18 @@ def read_csv(path: Path, columns: Sequence[str] | None, units: ImuUnitsConfig) -
         )
     names = list(columns) if columns is not None else fields
     where = "imu.columns" if columns is not None else "the header"
+    count = len(_fields(second, separator))
+    if count > len(names):
+        raise InputFileError(
+            f"{path}: rows of {count} fields, {where} names {len(names)} (a - passes one over)"
+        )
     places = find_columns(path, names, units, where)
     yield from _rows(path, separator, first - 1 + has_header, names, places)
 
 
 def read_kfgins(path: Path) -> Iterator[Rows]:
     """Rows of KF-GINS text: seconds of week, three Δθ in rad, three Δv in m/s."""
-    first, _ = _first_line(path)
+    (first, _), _ = _first_lines(path)
     places = {key: place for place, key in enumerate(NEEDED)}
     yield from _rows(path, r"\s+", first - 1, list(NEEDED), places)
 
@@ -77,14 +81,22 @@ def _rows(
             yield rows_of(lines, numbers, order)
 
 
-def _first_line(path: Path) -> tuple[int, str]:
-    """Number and text of the first line that is neither empty nor a comment."""
+def _first_lines(path: Path) -> tuple[tuple[int, str], tuple[int, str]]:
+    """Numbers and texts of the first two lines that are neither empty nor comments."""
+    found: list[tuple[int, str]] = []
     with reading(path), path.open(encoding="latin-1") as file:
         for number, line in enumerate(file, 1):
             text = line.strip()
             if text and not text.startswith(_COMMENTS):
-                return number, text
+                found.append((number, text))
+            if len(found) == 2:
+                return found[0], found[1]
     raise InputFileError(f"{path}: holds no data")
+
+
+def _fields(text: str, separator: str) -> list[str]:
+    parts = text.split() if separator == r"\s+" else text.split(separator)
+    return [part.strip() for part in parts]
 
 
 def _is_number(field: str) -> bool:

@@ -1,5 +1,7 @@
 """Inertial logs: what is written is read back, what others wrote is read, and what is refused."""
 
+import itertools
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -132,6 +134,22 @@ def test_axes_turn_the_log_to_forward_right_down(tmp_path):
     for axes in ("FLD", "FFU", [[1, 0, 0], [0, 1, 0], [0, 0, -1]], [[1, 0, 0]] * 3):
         with pytest.raises(ValidationError):
             ImuConfig.model_validate({"file": str(path), "axes": axes})
+
+
+def test_the_24_ways_to_mount_a_unit_and_not_their_mirror_images(tmp_path):
+    ways = [a + b + c for a, b, c in itertools.product("FBRLUD", repeat=3)]
+    block = drive(10)
+    read_back = []
+    for letters in ways:
+        try:
+            keys = {"file": str(tmp_path / "imu.csv"), "axes": letters}
+            config = ImuConfig.model_validate(keys)
+        except ValidationError:
+            continue
+        write(config.file, block, "csv", "increments", letters, cut=5)
+        assert_same(read(keys)[1], block)
+        read_back.append(letters)
+    assert len(read_back) == 24 and {"FRD", "RFU", "FLU"} <= set(read_back)
 
 
 def test_units_of_rates(tmp_path):
@@ -299,7 +317,8 @@ def test_counts_axes_and_signs_of_novatel(tmp_path):
     ("text", "keys", "cause"),
     [
         ("", {}, "holds no data"),
-        ("1,2,3,4,5,6,7\n", {}, "header"),
+        ("1,2,3,4,5,6,7\n2,2,3,4,5,6,7\n", {}, "header"),
+        ("tow,gx,gy,gz,ax,ay,az\n1,2,3,4,5,6,7,8\n", {}, "rows of 8 fields, the header names 7"),
         ("tow,gx,gy,gz,ax,ay\n1,2,3,4,5,6\n", {}, "accel_z"),
         ("tow,gx,gy,gz,ax,ay,az,gyro_x\n1,2,3,4,5,6,7,8\n", {}, "two columns"),
         ("tow,gyro_x_degps,gy,gz,ax,ay,az\n1,2,3,4,5,6,7\n", {}, r"deg/s.*units\.gyro: rad"),
