@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -92,7 +93,9 @@ class Scene:
         names = (*self.bodies, *(row.name for row in self.trees))
         return Sight(state.astype(np.int8), cause.astype(np.int16), names)
 
-    def _left(self, rays: Rays, satellite: str, wavelength_m: float, skip: int = -1) -> FloatArray:
+    def _left(
+        self, rays: Rays, satellite: str, wavelength_m: float, skip: Sequence[int] = ()
+    ) -> FloatArray:
         """Amplitude (n,) left by all pieces but `skip`, and by the trees."""
         left, _ = shade(self.screens, rays, wavelength_m, self.bending, skip)
         for row in self.trees:
@@ -104,13 +107,16 @@ class Scene:
     ) -> tuple[FloatArray, FloatArray]:
         """Amplitude (n,) of a perfect mirror's ray and its extra path, m."""
         seen = image(self.screens, piece, sight)
-        part = caught(self.screens, piece, seen.to_image, wavelength_m, self.bending)
+        part = caught(self.screens, piece, seen.to_image, wavelength_m, self.bending, alone=True)
         part[seen.excess_m <= 0.0] = 0.0
+        # Its own neighbours touch the specular point where the ray passes from one to the next.
+        bodies, around = self.screens.body, range(max(piece - 1, 0), piece + 2)
+        skip = [k for k in around if k < bodies.size and bodies[k] == bodies[piece]]
         lit = np.flatnonzero(part)
         if lit.size:
             for way in (seen.to_wall, seen.from_wall):
                 cut = Rays(*(x[lit] for x in way))
-                part[lit] *= self._left(cut, satellite, wavelength_m, piece)
+                part[lit] *= self._left(cut, satellite, wavelength_m, skip)
         return part, seen.excess_m
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from deepgnss.core.errors import ConfigError
-from deepgnss.io.config.quantity import Quantity, Section, misfit
+from deepgnss.io.config.quantity import Choice, Quantity, Section, misfit
 from deepgnss.sim.motion.road import Road
 from deepgnss.sim.surroundings.decreed import DecreedRay
 from deepgnss.sim.surroundings.foliage import Trees
@@ -122,7 +122,7 @@ class RayConfig(Section):
 _ROADSIDE = ("tunnel", "footbridge", "viaduct", "canyon", "barrier", "trees")
 
 
-class ObstacleConfig(Section):
+class ObstacleConfig(Choice):
     """One thing around the vehicle: exactly one key."""
 
     tunnel: TunnelConfig | None = None
@@ -148,15 +148,14 @@ class ObstacleConfig(Section):
 
     @model_validator(mode="after")
     def _is_one(self) -> Self:
-        if len(self.model_fields_set) != 1 or self.key is None:
+        if len(self.given) != 1:
             raise misfit(f"expected one of {', '.join(type(self).model_fields)}, with a value")
         return self
 
     @property
-    def key(self) -> str | None:
+    def key(self) -> str:
         """Name of the one key that is there."""
-        present = [name for name in type(self).model_fields if getattr(self, name) is not None]
-        return present[0] if present else None
+        return self.given[0]
 
 
 def build_surroundings(
@@ -190,7 +189,7 @@ def build_surroundings(
     bending = True
     counts: Counter[str] = Counter()
     for number, one in enumerate(obstacles):
-        key = one.key or ""
+        key = one.key
         counts[key] += 1
         name = f"{key} {counts[key]}"
         try:

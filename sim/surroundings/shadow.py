@@ -20,6 +20,7 @@ from deepgnss.core.records import FloatArray
 from deepgnss.sim.surroundings.panels import SEAM, Panels, joined
 
 _SEAM: Final = SEAM
+_SIDES: Final = (1, 3)  # edges of a ribbon towards the pieces before and after
 _CLEAR_V: Final = -0.78  # P.526: no loss from here on
 _DARK_V: Final = 22.5  # 40 dB: taken as nothing
 _LEVEL: Final = 10.0 ** (6.9 / 20.0)
@@ -122,7 +123,11 @@ def near(screens: Screens, rays: Rays, wavelength_m: float) -> NDArray[np.int64]
 
 
 def shade(
-    screens: Screens, rays: Rays, wavelength_m: float, bending: bool, skip: int = -1
+    screens: Screens,
+    rays: Rays,
+    wavelength_m: float,
+    bending: bool,
+    skip: Sequence[int] = (),
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """Amplitude (n,) left of far sources by all pieces but `skip`, and the body that hides most.
 
@@ -131,9 +136,8 @@ def shade(
     left = np.ones(len(rays.start_m))
     worst = np.full(left.size, -1, dtype=np.int64)
     darkest = np.full(left.size, 0.01)
-    chosen = near(screens, rays, wavelength_m)
-    chosen = chosen[chosen != skip]
-    for body, pieces in itertools.groupby(chosen.tolist(), lambda piece: screens.body[piece]):
+    chosen = [p for p in near(screens, rays, wavelength_m).tolist() if p not in skip]
+    for body, pieces in itertools.groupby(chosen, lambda piece: screens.body[piece]):
         hidden = np.zeros(left.size)
         for piece in pieces:
             np.maximum(hidden, caught(screens, piece, rays, wavelength_m, bending), out=hidden)
@@ -145,17 +149,31 @@ def shade(
 
 
 def caught(
-    screens: Screens, piece: int, rays: Rays, wavelength_m: float, bending: bool
+    screens: Screens,
+    piece: int,
+    rays: Rays,
+    wavelength_m: float,
+    bending: bool,
+    alone: bool = False,
 ) -> FloatArray:
-    """Part (n,) of the amplitude that one piece catches, whatever it lets through."""
+    """Part (n,) of the amplitude that one piece catches, whatever it lets through.
+
+    `alone`: as if a wall ended with this piece, since the next one looks another way.
+    """
     part = np.empty(len(rays.start_m))
-    _hide(rays, screens, piece, wavelength_m, bending, part)
+    _hide(rays, screens, piece, wavelength_m, bending, alone, part)
     return part
 
 
 @kernel
 def _hide(
-    rays: Rays, screens: Screens, piece: int, wavelength: float, bending: bool, part: FloatArray
+    rays: Rays,
+    screens: Screens,
+    piece: int,
+    wavelength: float,
+    bending: bool,
+    alone: bool,
+    part: FloatArray,
 ) -> None:
     """Part of the amplitude of each ray's source that a piece hides.
 
@@ -169,7 +187,7 @@ def _hide(
         part[n] = 0.0
         if _near(r, d, centre, radius, wavelength if bending else 0.0):
             enter, part[n] = _hidden(
-                r, d, corners, edges, cut, normals, first, end, wavelength, bending
+                r, d, corners, edges, cut, normals, first, end, wavelength, bending, alone
             )
             if enter >= rays.reach_m[n]:
                 part[n] = 0.0
@@ -187,6 +205,7 @@ def _hidden(
     end: int,
     wavelength: float,
     bending: bool,
+    alone: bool,
 ) -> tuple[float, float]:
     """Way to the piece of panels [first, end), and the part that it hides of a source along d."""
     hidden, enter = 1.0, 0.0
@@ -210,7 +229,8 @@ def _hidden(
             inside = _dot(p, c)
             if height < 0.0:
                 inside = -inside
-            sharp = not bending or kind == _SEAM or cut[m]
+            seam = kind == _SEAM and not (alone and i in _SIDES)
+            sharp = not bending or seam or cut[m]
             if sharp or (kind >= 0 and cut[kind]):
                 if inside < 0.0:
                     return enter, 0.0

@@ -358,7 +358,7 @@ def test_visibility_names_what_stands_in_the_way() -> None:
 
 @pytest.mark.slow
 def test_a_busy_street_costs_little() -> None:
-    """Twenty satellites over a second among 56 bodies, 16 of them mirrors: about 35 ms of a core."""
+    """Twenty satellites over a second among 56 bodies, 16 of them mirrors: some 35 ms."""
     obstacles: list[dict[str, object]] = [{"footbridge": {"at": 15 + 20 * k}} for k in range(40)]
     facade = {"distance": 12, "height": 18, "reflectivity": 0.4}
     obstacles += [
