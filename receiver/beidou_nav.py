@@ -457,6 +457,8 @@ def _encode(
     values["page"] = page[1]
     if page in kind.pages and (page != kind.utc or utc is not None):
         information = _pack(kind.pages, page, values)
+        if kind is _D2 and subframe_id == 1:  # its last five words are reserved
+            information |= int("10" * 55, 2)
     else:
         information = _filler(subframe_id, page[1])
     head = 0x712 << 27 | subframe_id << 20 | sow_s
