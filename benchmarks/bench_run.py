@@ -35,7 +35,7 @@ def main() -> None:
 
 
 def _simulate(seconds: float, place: Path) -> list[str]:
-    return ["simulate", "--preset", "bench", "--seconds", str(seconds), "-o", str(place)]
+    return ["simulate", "bench", "--seconds", str(seconds), "-o", str(place)]
 
 
 def _arguments(place: Path, seconds: float, start: str) -> list[str]:

@@ -14,8 +14,8 @@ from deepgnss.core.records import GPS_L1CA
 from deepgnss.sim.converter import convert
 from deepgnss.sim.generator import input_sigma, sample_source
 from deepgnss.sim.noise import normal_pairs
-from deepgnss.sim.presets import preset
 from deepgnss.sim.scenario import FrontEnd, Scenario, Stream
+from deepgnss.sim.schema import build, load_scenario
 
 SATELLITES = 20
 COUNT = 1 << 17  # samples timed at a time
@@ -61,8 +61,8 @@ def _row(front_end: FrontEnd, runs: int) -> list[str]:
 
 
 def crowd(front_end: FrontEnd) -> Scenario:
-    """Ten satellites at two antennas' worth of C/N0: twenty signals that nobody would tell apart."""
-    scenario = preset("static48", 60.0, None, 1)
+    """Ten satellites twice over: twenty signals that nobody would tell apart."""
+    scenario = build(load_scenario("static48")).scenario
     return replace(
         scenario, emitters=scenario.emitters * 2, streams=(Stream(GPS_L1CA.name, front_end),)
     )

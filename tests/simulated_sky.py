@@ -27,10 +27,10 @@ from deepgnss.sim.delays import receive
 from deepgnss.sim.generator import recording
 from deepgnss.sim.motion.paths import Path, Static
 from deepgnss.sim.motion.vehicle import Vehicle
-from deepgnss.sim.navbits import lnav_symbols
+from deepgnss.sim.navbits import sent_symbols
 from deepgnss.sim.orbits import orbit_of
-from deepgnss.sim.presets import elevations
 from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario, Stream
+from deepgnss.sim.sky import elevations
 
 CHIP_HZ, CARRIER_HZ, CODE_CHIPS = GPS_L1CA.chip_rate_hz, GPS_L1CA.carrier_hz, 1023
 EPOCH_S = 0.1
@@ -82,7 +82,9 @@ class Sky:
         """Bits (0, 1) on the air at satellite times, s since the start's whole second."""
         orbit_set = self.scenario.orbit_set(satellite)
         start = self.scenario.start
-        bits = lnav_symbols(self.scenario.nav, orbit_set, start, self.scenario.seconds)
+        bits = sent_symbols(
+            GPS_L1CA_SIGNAL, self.scenario.nav, orbit_set, start, self.scenario.seconds
+        )
         number = np.floor((sent_s + np.floor(start.tow_s)) * 50.0).astype(np.int64) - bits.first
         return ((1 - bits.values[number]) // 2).astype(np.int8)
 

@@ -16,8 +16,10 @@ from pydantic import (
     ConfigDict,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
+    SerializerFunctionWrapHandler,
     Strict,
     ValidationInfo,
+    model_serializer,
 )
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
@@ -42,6 +44,19 @@ class Section(BaseModel):
         use_attribute_docstrings=True,
         protected_namespaces=(),
     )
+
+
+class Choice(Section):
+    """A section of keys that exclude each other: written without those that are not given."""
+
+    @model_serializer(mode="wrap")
+    def _given_ones(self, whole: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in whole(self).items() if value is not None}
+
+    @property
+    def given(self) -> list[str]:
+        """Names of the keys that have a value."""
+        return [name for name in type(self).model_fields if getattr(self, name) is not None]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from scipy.interpolate import PPoly
 
 from deepgnss.core.errors import ConfigError
-from deepgnss.io.config.quantity import ExistingFile, Quantity, Section, Switch, misfit
+from deepgnss.io.config.quantity import Choice, ExistingFile, Quantity, Section, Switch, misfit
 from deepgnss.sim.motion.attitude import Attitude, EllipseAttitude, Steady, along
 from deepgnss.sim.motion.paths import Ellipse, Line, Path, Sine, Static
 from deepgnss.sim.motion.profile import acceleration_profile, smooth_profile
@@ -337,7 +337,7 @@ class StreetConfig(Section):
         return path, StreetAttitude(path, self.bank, self.squat)
 
 
-class TrajectoryConfig(Section):
+class TrajectoryConfig(Choice):
     """How the vehicle's reference point (the IMU) moves: one of these; at rest when none."""
 
     static: StaticConfig | None = None
@@ -352,13 +352,10 @@ class TrajectoryConfig(Section):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        given = self._given()
+        given = self.given
         if len(given) > 1:
             raise misfit(f"expected one of {', '.join(given)}, not several", given[1])
         return self
-
-    def _given(self) -> list[str]:
-        return [name for name in type(self).model_fields if getattr(self, name) is not None]
 
     def build(
         self,
@@ -383,7 +380,7 @@ class TrajectoryConfig(Section):
                     f" expected at least the {seconds:g} s of the scenario"
                 )
             return Vehicle(*place, path, attitude)
-        name = next(iter(self._given()), None)
+        name = next(iter(self.given), None)
         section = getattr(self, name) if name else StaticConfig()
         try:
             return Vehicle(*place, *section.lay(place))

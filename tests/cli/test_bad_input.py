@@ -17,8 +17,8 @@ from deepgnss.deep.outputs import FILES, Outputs
 from deepgnss.io.folder import prepare_folder, written
 from deepgnss.io.output import OutputFile
 from deepgnss.io.rinex_nav import read_nav, write_nav
-from deepgnss.sim.output import write_scenario
-from deepgnss.sim.presets import preset
+from deepgnss.sim.output import write_simulation
+from deepgnss.sim.schema import build, load_scenario
 
 RATE_HZ = 2.6e6
 SECONDS = 6.8
@@ -29,7 +29,13 @@ STREAM = "recording.streams[0]"
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a recording, its config, its truth and its NAV file."""
     folder = tmp_path_factory.mktemp("drive")
-    write_scenario(preset("demo", SECONDS, RATE_HZ, 1), folder, threads=2)
+    settings = [
+        f"seconds={SECONDS}",
+        "satellites={systems: [GPS], mask: 10, limit: 9}",
+        f"streams=[{{format: bits2, sample_rate: {RATE_HZ}}}]",
+        *("imu=null", "odometer=null"),
+    ]
+    write_simulation(build(load_scenario("open_sky", settings)), folder, threads=2)
     return folder
 
 

@@ -22,8 +22,8 @@ from deepgnss.sim.motion.paths import Line, Path, Sine, Static
 from deepgnss.sim.motion.profile import smooth_profile
 from deepgnss.sim.motion.vehicle import Vehicle
 from deepgnss.sim.orbits import orbit_of
-from deepgnss.sim.presets import elevations, preset
 from deepgnss.sim.scenario import Emitter, FrontEnd, ReceiverClock, Scenario, Stream
+from deepgnss.sim.sky import elevations
 
 Samples = NDArray[np.int64] | FloatArray
 RATE_HZ = 4.0e6
@@ -338,11 +338,3 @@ def test_navigation_bits_leave_at_their_time() -> None:
         assert frame.polarity == 0
         assert frame.start_tow_s == pytest.approx(sent_s[frame.first], abs=1e-6)
     assert frames[0].subframe is not None
-
-
-def test_presets_have_their_satellites() -> None:
-    for name, count in (("demo", 9), ("static48", 10), ("bench", 8)):
-        scenario = preset(name, None, None, seed=1)
-        assert len(scenario.emitters) == count
-        seen = elevations(scenario.nav, scenario.start, scenario.vehicle)
-        assert all(seen[e.satellite] > np.radians(10.0) for e in scenario.emitters)

@@ -20,7 +20,7 @@ from deepgnss.sim.delays import hermite_cubics
 from deepgnss.sim.motion.paths import Static
 from deepgnss.sim.motion.vehicle import Vehicle
 from deepgnss.sim.orbits import orbit_of, travel
-from deepgnss.sim.presets import elevations
+from deepgnss.sim.sky import elevations
 
 START = GpsTime(2290, 382_256.25)
 PLACE = (0.91, 0.18, 120.0)

@@ -1,0 +1,15 @@
+"""Scenario files: their typed schema, the ready ones, and the records made from them."""
+
+from deepgnss.sim.schema.build import Simulation, build
+from deepgnss.sim.schema.document import REFERENCE_HEAD, ScenarioConfig
+from deepgnss.sim.schema.ready import Ready, load_scenario, ready_scenarios
+
+__all__ = [
+    "REFERENCE_HEAD",
+    "Ready",
+    "ScenarioConfig",
+    "Simulation",
+    "build",
+    "load_scenario",
+    "ready_scenarios",
+]

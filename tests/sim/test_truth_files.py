@@ -1,0 +1,188 @@
+"""Truth files against each other, and observations against a program that knows nothing of us."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.frames import C_ne, geodetic
+from deepgnss.core.records import BDS_B1I, GPS_L1CA
+from deepgnss.evaluate.observations import read_observations, read_ranges
+from deepgnss.evaluate.rtklib import FIXED, installed, kinematic
+from deepgnss.io.rinex_nav import read_nav, write_nav
+from deepgnss.io.rinex_obs_reader import read_obs
+from deepgnss.io.truth import read_truth
+from deepgnss.sim.output.clock import write_clock
+from deepgnss.sim.output.stations import base_station, perfect_rover, write_observations
+from deepgnss.sim.output.truth import write_ranges, write_truth
+from deepgnss.sim.schema import Simulation, build, load_scenario
+
+WAVELENGTH_M = {
+    "G": SPEED_OF_LIGHT_MPS / GPS_L1CA.carrier_hz,
+    "C": SPEED_OF_LIGHT_MPS / BDS_B1I.carrier_hz,
+}
+
+
+def made(folder: Path, name: str, *settings: str) -> Simulation:
+    """Truth, NAV and observations of a scenario, without its samples."""
+    simulation = build(load_scenario(name, settings))
+    scenario, config = simulation.scenario, simulation.config
+    write_nav(folder / "nav.rnx", scenario.nav)
+    write_truth(folder / "truth.csv", scenario, config.truth.rate)
+    write_ranges(folder / "ranges.csv", scenario, config.truth.ranges)
+    write_clock(folder / "clock.csv", scenario, config.truth.rate)
+    write_observations(folder, perfect_rover(config.rover), scenario)
+    if config.base is not None:
+        write_observations(folder, *base_station(config.base, scenario))
+    return simulation
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Simulation]:
+    folder = tmp_path_factory.mktemp("drive")
+    settings = ("seconds=60", "truth.ranges=1.0", "base={offset: [500, 800, -3], interval: 1}")
+    return folder, made(folder, "urban_short", *settings)
+
+
+def test_velocity_is_the_slope_of_position(drive: tuple[Path, Simulation]) -> None:
+    """Fifth-order differences over ±40 ms; the columns hold 1e-5 m and 1e-6 m/s."""
+    frame = pd.read_csv(drive[0] / "truth.csv")
+    truth = read_truth(drive[0] / "truth.csv")
+    r, dt = truth.r_e_m, 0.02
+    slope = (r[:-4] - 8.0 * r[1:-3] + 8.0 * r[3:-1] - r[4:]) / (12.0 * dt)
+    assert truth.v_e_mps is not None
+    assert np.abs(slope - truth.v_e_mps[2:-2]).max() < 2e-3
+    assert np.hypot(frame["vn_mps"], frame["ve_mps"]).max() > 5.0
+
+
+def test_attitude_turns_with_the_course(drive: tuple[Path, Simulation]) -> None:
+    """Heading is the course of the reference point; the antenna's differs by its swing only."""
+    frame = pd.read_csv(drive[0] / "truth.csv")
+    fast = frame[np.hypot(frame["vn_mps"], frame["ve_mps"]) > 5.0]
+    course = np.degrees(np.arctan2(fast["ve_mps"], fast["vn_mps"]))
+    off = np.mod(fast["heading_deg"] - course + 180.0, 360.0) - 180.0
+    assert off.abs().max() < 3.0
+    assert off.abs().median() < 0.1
+
+
+def test_antenna_stands_its_lever_arm_from_the_unit(drive: tuple[Path, Simulation]) -> None:
+    _, simulation = drive
+    scenario = simulation.scenario
+    lever = np.array(scenario.antennas[0].lever_b_m)
+    t_s = np.array([0.0, 20.0, 50.0])
+    pose = scenario.vehicle.pose(t_s)
+    expected = pose.r_e_m + np.einsum("kij,j->ki", pose.C_eb, lever)
+    truth = read_truth(drive[0] / "truth.csv")
+    start = scenario.start
+    found, _ = truth.at(start.week, start.tow_s + t_s)
+    assert found == pytest.approx(expected, abs=2e-5)
+    assert np.linalg.norm(lever) > 0.5
+
+
+def test_ranges_add_up(drive: tuple[Path, Simulation]) -> None:
+    frame = pd.read_csv(drive[0] / "ranges.csv")
+    wavelength_m = frame["satellite"].str[0].map(WAVELENGTH_M)
+    neutral_m = frame["geom_range_m"] - frame["satellite_clock_m"] + frame["tropo_m"]
+    assert (frame["pseudorange_m"] - neutral_m - frame["iono_m"]).abs().max() < 5e-5
+    phase_m = frame["carrier_cycles"] * wavelength_m
+    assert (phase_m - neutral_m + frame["iono_m"]).abs().max() < 5e-5
+    assert frame["iono_m"].min() > 0.5 and frame["tropo_m"].min() > 2.0
+
+
+def test_phase_rate_is_minus_doppler(tmp_path: Path) -> None:
+    """dL/dt = −D by fifth-order differences over ±20 ms on an accelerating car."""
+    made(tmp_path, "urban_short", "seconds=12", "truth.ranges=0.01")
+    frame = pd.read_csv(tmp_path / "ranges.csv")
+    for satellite, rows in frame.groupby("satellite"):
+        phase, doppler = rows["carrier_cycles"].to_numpy(), rows["doppler_hz"].to_numpy()
+        slope = (phase[:-4] - 8.0 * phase[1:-3] + 8.0 * phase[3:-1] - phase[4:]) / 0.12
+        assert np.abs(slope + doppler[2:-2]).max() < 0.01, satellite
+
+
+def test_rover_observes_the_ranges(drive: tuple[Path, Simulation]) -> None:
+    observed = read_observations(drive[0] / "rover.obs")
+    ranges = read_ranges(drive[0] / "ranges.csv")
+    both = observed.merge(ranges, on=["week", "tow_s", "satellite"])
+    assert len(both) == len(observed) == len(ranges)
+    assert (both["pseudorange_m"] - both["range_m"]).abs().max() < 6e-4  # digits of RINEX
+    wavelength_m = both["satellite"].str[0].map(WAVELENGTH_M)
+    cycles = both["carrier_cycles"] - both["phase_m"] / wavelength_m
+    assert (cycles - cycles.round()).abs().max() < 6e-4
+    both["ambiguity"] = cycles.round()
+    for satellite, rows in both.sort_values("tow_s").groupby("satellite"):
+        changed = rows["ambiguity"].diff().fillna(1.0) != 0.0
+        assert (changed == rows["slip"]).all(), satellite
+    arcs = both.groupby("satellite")["slip"].sum()
+    assert arcs.max() > 1  # the tunnel
+
+
+def test_base_is_where_it_says_and_noisy_as_it_says(drive: tuple[Path, Simulation]) -> None:
+    folder, simulation = drive
+    scenario = simulation.scenario
+    station = read_obs(folder / "base.obs", "GC")
+    _, base = base_station(simulation.config.base, scenario)
+    place = base.vehicle.point(np.zeros(1)).r_m[0]
+    assert station.position_e_m == pytest.approx(place, abs=1e-4)
+    v = scenario.vehicle
+    origin = v.point(np.zeros(1)).r_m[0] - v.path(np.zeros(1)).r_m[0] @ C_ne(
+        v.latitude_rad, v.longitude_rad
+    )
+    assert C_ne(*geodetic(origin)[:2]) @ (place - origin) == pytest.approx([500, 800, -3], abs=1e-3)
+    write_ranges(folder / "base_ranges.csv", base, 1.0)
+    both = read_observations(folder / "base.obs").merge(
+        read_ranges(folder / "base_ranges.csv"), on=["week", "tow_s", "satellite"]
+    )
+    code_m = both["pseudorange_m"] - both["range_m"]
+    count = len(both)
+    assert count > 400
+    assert code_m.std() == pytest.approx(0.3, rel=4.0 / math.sqrt(2 * count))
+    assert abs(code_m.mean()) < 4.0 * 0.3 / math.sqrt(count)
+    cycles = both["carrier_cycles"] - both["phase_m"] / both["satellite"].str[0].map(WAVELENGTH_M)
+    phase_m = (cycles - cycles.round()) * both["satellite"].str[0].map(WAVELENGTH_M)
+    assert phase_m.std() == pytest.approx(0.002, rel=4.0 / math.sqrt(2 * count))
+
+
+def test_clock_file_holds_offset_and_drift(tmp_path: Path) -> None:
+    made(tmp_path, "static", "seconds=20", "clock={offset: 3e-4, drift: -2e-6}", "oscillator=null")
+    frame = pd.read_csv(tmp_path / "clock.csv")
+    elapsed_s = frame["gps_tow_s"] - frame["gps_tow_s"].iloc[0]
+    # sample 0 lies at GPST = start − offset; the drift counts on the clock's own time
+    t_s = frame["gps_tow_s"] - 382_256.0
+    expected = (3e-4 - 2e-6 * t_s) / (1.0 + 2e-6)
+    assert (frame["offset_s"] - expected).abs().max() < 1e-12
+    assert (frame["drift_sps"] + 2e-6).abs().max() < 1e-11
+    assert elapsed_s.iloc[-1] == pytest.approx(20.0)
+
+
+def test_navigation_file_reads_back(drive: tuple[Path, Simulation]) -> None:
+    nav = read_nav(drive[0] / "nav.rnx")
+    assert {e.satellite for e in drive[1].scenario.emitters} <= set(nav.ephemerides)
+
+
+@pytest.mark.parametrize("systems", ["[GPS]", "[BDS]", "[GPS, BDS]"])
+def test_rtklib_fixes_rover_against_base(tmp_path: Path, systems: str) -> None:
+    """Over 99 % fixed, centimetres from the truth, within a kilometre of the base."""
+    if installed() is None:
+        pytest.skip("rnx2rtkp is not installed")
+    settings = [f"satellites.systems={systems}", "seconds=90", "surroundings=[]", "streams=[]"]
+    settings[-1] = (
+        "streams=[{sample_rate: 4e6}, {name: B1, sample_rate: 4e6, centre_frequency: 1561.098e6}]"
+    )
+    settings.append("base={offset: [500, 800, -3], interval: 1}")
+    simulation = made(tmp_path, "urban_short", *settings)
+    found = kinematic(*(tmp_path / name for name in ("rover.obs", "base.obs", "nav.rnx")))
+    assert len(found) >= 90
+    fixed = found["quality"] == FIXED
+    assert fixed.mean() > 0.99
+    start = simulation.scenario.start
+    t_s = found["tow_s"].to_numpy() - start.tow_s
+    lever = simulation.scenario.antennas[0].lever_b_m
+    true_e_m = simulation.scenario.vehicle.point(t_s, lever).r_m
+    error_m = found[["x_e_m", "y_e_m", "z_e_m"]].to_numpy() - true_e_m
+    assert np.sqrt((error_m**2).mean(axis=0)).max() < 0.01
+    assert np.linalg.norm(error_m, axis=1)[fixed].max() < 0.05
