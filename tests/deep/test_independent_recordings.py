@@ -6,12 +6,13 @@ What comes out is held against their truth, and read by programs other people wr
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import subprocess
 import sys
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,11 @@ import pytest
 import yaml
 from pynmeagps import NMEAReader
 
+from deepgnss.core.frames import ecef
 from deepgnss.core.records import FloatArray
+from deepgnss.core.time import GpsTime
+from deepgnss.io.rinex_nav import read_nav
+from deepgnss.receiver.orbits import predict, select
 
 _TRUTH = ("lat_deg", "lon_deg", "height_m")
 
@@ -40,21 +45,19 @@ class Case:
     unhealthy: tuple[str, ...]
     causal_fix_s: float
     rms_m: float
+    signals: tuple[str, ...] = ("GPS_L1CA",)
+    other_samples: str = ""  # of a second stream
 
 
-def _stream(name: str) -> dict[str, Any]:
+def _stream(name: str, rate_hz: float = 2.6e6, centre_hz: float = 1575.42e6) -> dict[str, Any]:
     return {
-        "streams": [
-            {
-                "name": name,
-                "format": "bits1",
-                "samples": "iq",
-                "packing": {"order": "msb_first", "code": "sign_magnitude"},
-                "sample_rate": 2.6e6,
-                "centre_frequency": 1575.42e6,
-                "intermediate_frequency": 0.0,
-            }
-        ]
+        "name": name,
+        "format": "bits1",
+        "samples": "iq",
+        "packing": {"order": "msb_first", "code": "sign_magnitude"},
+        "sample_rate": rate_hz,
+        "centre_frequency": centre_hz,
+        "intermediate_frequency": 0.0,
     }
 
 
@@ -63,7 +66,7 @@ DRIVE = Case(
     samples="rec.bin",
     nav="brdc0010.22n",
     config={
-        "recording": _stream("L1"),
+        "recording": {"streams": [_stream("L1")]},
         "tracking": {"carrier": {"loop": "pll3", "bandwidth": 15.0, "coherent": 0.02}},
         "positioning": {"troposphere": "none"},  # as simulated
     },
@@ -75,12 +78,22 @@ DUAL = Case(
     folder="dual",
     samples="l1.bin",
     nav="ESBC00DNK_R_20201770000_01D_MN.rnx.gz",
-    config={"recording": _stream("L1")},
+    config={"recording": {"streams": [_stream("L1")]}},
     unhealthy=(),
     causal_fix_s=31.0,
     rms_m=2.0,
 )
-both = pytest.mark.parametrize("case", [DRIVE, DUAL], ids=lambda case: case.folder)
+TWO_SYSTEMS = replace(
+    DUAL,
+    config={"recording": {"streams": [_stream("L1"), _stream("B1", 4.5e6, 1561.098e6)]}},
+    causal_fix_s=35.0,
+    rms_m=2.5,
+    signals=("GPS_L1CA", "BDS_B1I"),
+    other_samples="b1.bin",
+)
+each = pytest.mark.parametrize(
+    "case", [DRIVE, DUAL, TWO_SYSTEMS], ids=["drive", "dual-gps", "dual"]
+)
 
 
 @dataclass(frozen=True)
@@ -105,11 +118,11 @@ class Outcome:
 
     @property
     def observation_file(self) -> Path:
-        return next(self.folder.glob("*_GO.rnx"))
+        return next(self.folder.glob("*_?O.rnx"))
 
     @property
     def navigation_file(self) -> Path:
-        return next(self.folder.glob("*_GN.rnx"))
+        return next(self.folder.glob("*_?N.rnx"))
 
     @cached_property
     def errors_enu_m(self) -> FloatArray:
@@ -132,12 +145,12 @@ def process(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Proc
     def run(
         case: Case, *, start: str = "scout", nav: bool = False, duration_s: float = 0
     ) -> Outcome:
-        key = f"{case.folder}-{start}-{nav}-{duration_s}"
+        key = f"{case.folder}-{len(case.signals)}-{start}-{nav}-{duration_s}"
         if key not in done:
             source = shared_data / "independent" / case.folder
             folder = tmp_path_factory.mktemp(key)
             config = case.config | {
-                "signals": ["GPS_L1CA"],
+                "signals": list(case.signals),
                 "start": start,
                 "output": {"interval": 0.1, "report": False},
             }
@@ -145,6 +158,8 @@ def process(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Proc
                 config["nav"] = str(source / case.nav)
             if duration_s:
                 config["recording"] = case.config["recording"] | {"duration": duration_s}
+            if case.other_samples:
+                config["recording"]["streams"][1]["file"] = str(source / case.other_samples)
             (folder / "car.yaml").write_text(yaml.safe_dump(config))
             command = Path(sys.executable).parent / "deepgnss"
             ended = subprocess.run(
@@ -217,7 +232,7 @@ def test_first_seconds_of_the_drive_with_a_nav_file(process: Process) -> None:
 
 
 @pytest.mark.slow
-@both
+@each
 def test_scouted_fixes_begin_with_the_recording(case: Case, process: Process) -> None:
     outcome = process(case)
     assert outcome.summary["first_fix_s"] <= 3.0
@@ -225,13 +240,13 @@ def test_scouted_fixes_begin_with_the_recording(case: Case, process: Process) ->
 
 
 @pytest.mark.slow
-@both
+@each
 def test_causal_first_fix(case: Case, process: Process) -> None:
     assert process(case, start="causal").summary["first_fix_s"] <= case.causal_fix_s
 
 
 @pytest.mark.slow
-@both
+@each
 def test_causal_first_fix_with_a_nav_file(case: Case, process: Process) -> None:
     outcome = process(case, start="causal", nav=True)
     assert outcome.summary["first_fix_s"] <= 8.0
@@ -239,25 +254,25 @@ def test_causal_first_fix_with_a_nav_file(case: Case, process: Process) -> None:
 
 
 @pytest.mark.slow
-@both
+@each
 def test_positions_and_satellites(case: Case, process: Process) -> None:
     _check_accuracy(process(case), case)
 
 
 @pytest.mark.slow
-@both
+@each
 def test_no_slips_after_three_seconds(case: Case, process: Process) -> None:
     _check_phase(process(case), 3.0)
 
 
 @pytest.mark.slow
-@both
+@each
 def test_sentences_parse(case: Case, process: Process) -> None:
     _check_nmea(process(case), 0.1)
 
 
 @pytest.mark.slow
-@both
+@each
 def test_georinex_reads_what_was_written(case: Case, process: Process) -> None:
     outcome = process(case)
     table = outcome.observations
@@ -273,13 +288,13 @@ def test_georinex_reads_what_was_written(case: Case, process: Process) -> None:
     table = table.set_index([table["satellite"], (table["tow_s"] * 1e3).round().astype(int)])
     for satellite in seen.sv.to_numpy():
         wanted = table["pseudorange_m"].loc[satellite].reindex(times_ms)
-        code = seen["C1C"].sel(sv=satellite).to_numpy()
+        code = seen["C1C" if satellite[0] == "G" else "C2I"].sel(sv=satellite).to_numpy()
         np.testing.assert_allclose(code, wanted.to_numpy(), atol=6e-4)
     assert set(" ".join(outcome.solutions["satellites"]).split()) <= set(nav.sv.to_numpy())
 
 
 @pytest.mark.slow
-@both
+@each
 def test_rtklib_finds_our_positions(case: Case, process: Process, tmp_path: Path) -> None:
     """rnx2rtkp, single point, on our own observation and navigation files."""
     program = shutil.which("rnx2rtkp")
@@ -289,7 +304,7 @@ def test_rtklib_finds_our_positions(case: Case, process: Process, tmp_path: Path
     atmosphere = {"drive": ("brdc", "off")}.get(case.folder, ("brdc", "saas"))
     settings = tmp_path / "rtk.conf"
     settings.write_text(
-        "pos1-posmode=single\npos1-frequency=l1\npos1-elmask=10\npos1-navsys=1\n"
+        "pos1-posmode=single\npos1-frequency=l1\npos1-elmask=10\npos1-navsys=33\n"
         f"pos1-ionoopt={atmosphere[0]}\npos1-tropopt={atmosphere[1]}\n"
         "out-solformat=llh\nout-timesys=gpst\nout-timeform=tow\n"
     )
@@ -310,3 +325,29 @@ def test_rtklib_finds_our_positions(case: Case, process: Process, tmp_path: Path
         theirs[:, 2], theirs[:, 3], theirs[:, 4], *(ours[c].to_numpy() for c in _TRUTH)
     )
     assert np.max(np.sqrt(east**2 + north**2 + up**2)) < 5.0
+
+
+@pytest.mark.slow
+def test_every_beidou_satellite_in_view_is_tracked(process: Process, shared_data: Path) -> None:
+    """MEO, IGSO and GEO alike, in phase lock nearly from the start; ephemerides of all."""
+    outcome = process(TWO_SYSTEMS, start="causal")
+    nav = read_nav(shared_data / "independent" / "dual" / TWO_SYSTEMS.nav)
+    start = GpsTime(2111, 388_818.0)
+    place_e_m = ecef(math.radians(55.4935), math.radians(8.4568), 60.0)
+    orbits = [orbit for s in nav.ephemerides if s[0] == "C" and (orbit := select(nav, s, start))]
+    seen = predict(orbits, start, place_e_m, np.zeros(3))
+    high = seen.elevation_rad > math.radians(5.0)
+    in_view = {orbit.satellite for orbit, up in zip(orbits, high, strict=True) if up}
+    channels = pd.read_csv(outcome.folder / "channels.csv")
+    channels = channels[channels["signal"] == "BDS_B1I"]
+    locked = channels[(channels["mode"] == "PLL") & (channels["lock_time_s"] > 35.0)]
+    assert {"C05", "C06", "C19"} <= in_view  # GEO, IGSO, MEO
+    assert set(locked["satellite"]) == in_view
+    decoded = read_nav(outcome.navigation_file)
+    assert in_view <= set(decoded.ephemerides)
+    for satellite in in_view:
+        (ours,) = decoded.ephemerides[satellite]
+        theirs = min(nav.ephemerides[satellite], key=lambda e: abs(e.toe.since(ours.toe)))
+        assert ours.toe == theirs.toe
+        assert ours.sqrt_a_rm == pytest.approx(theirs.sqrt_a_rm, rel=1e-10)
+        assert ours.m0_rad == pytest.approx(theirs.m0_rad, abs=1e-8)
