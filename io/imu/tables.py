@@ -12,6 +12,7 @@ import numpy as np
 from deepgnss.core.errors import InputFileError
 from deepgnss.io.config.aids import ImuUnitsConfig
 from deepgnss.io.imu.rows import CHUNK_ROWS, Rows, find_columns, rows_of
+from deepgnss.io.input import reading
 from deepgnss.io.recording import open_hdf5
 
 GROUP = "imu"
@@ -38,5 +39,6 @@ def read_hdf5(path: Path, kind: str, units: ImuUnitsConfig) -> Iterator[Rows]:
         count = columns[0].shape[0]
         for first in range(0, count, CHUNK_ROWS):
             last = min(first + CHUNK_ROWS, count)
-            table = np.column_stack([np.asarray(c[first:last], np.float64) for c in columns])
+            with reading(path):
+                table = np.column_stack([np.asarray(c[first:last], np.float64) for c in columns])
             yield rows_of(np.arange(first + 1, last + 1), table, places)

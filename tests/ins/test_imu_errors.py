@@ -63,7 +63,7 @@ def expected_variance(noise_rts, drift_rthz, time_s, tau, clusters):
 
 @pytest.mark.parametrize("name", imu_grade_names())
 def test_allan_deviation_of_an_hour_is_that_of_the_grade(name):
-    grade, rate_hz, seconds, seeds = imu_grade(name), 10.0, 3600.0, 30
+    grade, rate_hz, seconds, seeds = imu_grade(name), 5.0, 3600.0, 30
     rest = at_rest(seconds, rate_hz)
     runs = [ImuErrors(grade, np.random.default_rng(seed)).apply(rest)[0] for seed in range(seeds)]
     sensors = (
@@ -73,7 +73,7 @@ def test_allan_deviation_of_an_hour_is_that_of_the_grade(name):
          grade.accel_drift_time_s),
     )  # fmt: skip
     for field, noise, drift, time_s in sensors:
-        for tau in (0.2, 1.0, 10.0, 100.0, 600.0, 1200.0):
+        for tau in (0.4, 2.0, 10.0, 100.0, 600.0, 1200.0):
             m = round(tau * rate_hz)
             found = [allan_variance(getattr(run, field), 1.0 / rate_hz, m) for run in runs]
             clusters = len(rest.dt_s) // m

@@ -360,6 +360,15 @@ def test_a_table_says_its_kind_and_units(tmp_path):
         read(wrong)
 
 
+def test_a_table_of_words_is_refused(tmp_path):
+    path = tmp_path / "imu.h5"
+    names = ("gps_tow_s", *(f"{sensor}_{x}" for sensor in ("gyro", "accel") for x in "xyz"))
+    with ContainerWriter(path) as container:
+        container.add_table("imu", {name: np.array([b"one", b"two"]) for name in names})
+    with pytest.raises(InputFileError, match=r"imu\.h5"):
+        read({"file": str(path), "format": "hdf5"})
+
+
 # --- logs none of us wrote -----------------------------------------------------------------------
 
 
