@@ -130,7 +130,7 @@ def _truths(simulation: Simulation, folder: Path) -> Iterator[File]:
     write_observations(folder, perfect_rover(config.rover), scenario)
     yield File(folder / "rover.obs", f"RINEX of a perfect rover, {config.rover.interval:g} s")
     if config.base is not None:
-        write_observations(folder, *base_station(config.base, scenario))
+        write_observations(folder, *base_station(config.base, scenario, simulation.unblocked))
         yield File(folder / "base.obs", f"RINEX of the base station, {config.base.interval:g} s")
     if config.imu is not None and imu_name(simulation) is not None:
         yield from (File(*one) for one in write_imu(folder, simulation))

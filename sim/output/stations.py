@@ -5,7 +5,6 @@ Their clock is perfect, their phases carry whole cycles that change wherever the
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -47,18 +46,19 @@ def perfect_rover(config: RoverConfig) -> Station:
     return _station("rover.obs", "GROUND_CRAFT", config.interval, config)
 
 
-def base_station(config: BaseConfig, scenario: Scenario) -> tuple[Station, Scenario]:
+def base_station(
+    config: BaseConfig, scenario: Scenario, unblocked: tuple[Emitter, ...]
+) -> tuple[Station, Scenario]:
     """The base, and the scenario as it sees it: at rest, nothing in the way."""
     v = scenario.vehicle
     C = C_ne(v.latitude_rad, v.longitude_rad)
     r_e_m = ecef(v.latitude_rad, v.longitude_rad, v.height_m) + np.array(config.offset) @ C
-    emitters = tuple(replace(e, cn0_dbhz=_always(e)) for e in scenario.emitters)
     around = replace(
         scenario,
         vehicle=Vehicle(*geodetic(r_e_m)),
         antennas=(Antenna(),),
         surroundings=None,
-        emitters=emitters,
+        emitters=unblocked,
         streams=(),
     )
     return _station("base.obs", "GEODETIC", config.interval, config), around
@@ -68,17 +68,6 @@ def _station(file: str, kind: str, interval_s: float, errors: MeasurementNoise) 
     return Station(
         file, kind, interval_s, errors.code_noise, errors.phase_noise, errors.doppler_noise
     )
-
-
-def _always(emitter: Emitter) -> tuple[tuple[float, float], ...]:
-    """Its strength without the spans in which it is blocked."""
-    levels = [level for _, level in emitter.cn0_dbhz if math.isfinite(level)]
-    held = levels[0] if levels else 45.0
-    steps = []
-    for second, level in emitter.cn0_dbhz:
-        held = level if math.isfinite(level) else held
-        steps.append((second, held))
-    return tuple(steps)
 
 
 def write_observations(folder: Path, station: Station, scenario: Scenario) -> Path:

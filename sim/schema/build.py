@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from deepgnss.core.records import FloatArray, NavData
 from deepgnss.core.time import from_utc
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.receiver.signals import signal_of
-from deepgnss.sim.constellation import nominal_gps
+from deepgnss.sim.constellation import nominal
 from deepgnss.sim.motion.street import StreetPath
 from deepgnss.sim.orbits import nearest_set
 from deepgnss.sim.scenario import Antenna, Emitter, Scenario, Stream
@@ -33,6 +34,7 @@ class Simulation:
 
     config: ScenarioConfig
     scenario: Scenario
+    unblocked: tuple[Emitter, ...]  # the scenario's emitters as an open sky would show them
 
 
 def build(config: ScenarioConfig) -> Simulation:
@@ -47,14 +49,17 @@ def build(config: ScenarioConfig) -> Simulation:
     nav = _nav(config)
     times_s = np.unique(np.append(np.arange(0.0, config.seconds, _STEP_S), config.seconds))
     seen = elevations_over(nav, start, vehicle, times_s)
-    chosen = _chosen(config.satellites, seen)
+    unblocked = tuple(
+        _emitter(config.satellites, satellite, times_s, seen[satellite])
+        for satellite in _chosen(config.satellites, seen)
+    )
     names = [antenna.name for antenna in config.antennas]
     scenario = Scenario(
         name=config.name,
         start=start,
         seconds=config.seconds,
         vehicle=vehicle,
-        emitters=tuple(_emitter(config, sat, times_s, seen[sat]) for sat in chosen),
+        emitters=tuple(_blocked(config.satellites, emitter) for emitter in unblocked),
         nav=nav,
         streams=tuple(
             Stream(one.name, one.front_end(), names.index(one.antenna or names[0]))
@@ -74,7 +79,7 @@ def build(config: ScenarioConfig) -> Simulation:
         noise=config.noise,
         seed=config.seed,
     )
-    return Simulation(config, scenario)
+    return Simulation(config, scenario, unblocked)
 
 
 def _nav(config: ScenarioConfig) -> NavData:
@@ -82,7 +87,7 @@ def _nav(config: ScenarioConfig) -> NavData:
     letters = {_LETTERS[system] for system in satellites.systems}
     letters |= {satellite[0] for satellite in satellites.only or ()}
     if satellites.nav is None:
-        return nominal_gps(start, config.seconds)
+        return nominal(start, config.seconds, "".join(sorted(letters)))
     nav = read_nav(satellites.nav)
     middle = start.plus(config.seconds / 2.0)
     fresh = {
@@ -98,28 +103,28 @@ def _nav(config: ScenarioConfig) -> NavData:
     return NavData(fresh, nav.klobuchar, nav.utc)
 
 
-def _chosen(satellites: SatellitesConfig, elevation_rad: dict[str, FloatArray]) -> list[str]:
-    """Satellites that transmit, by name."""
-    mask_rad = math.radians(satellites.mask)
+def _chosen(satellites: SatellitesConfig, elevation_rad: Mapping[str, FloatArray]) -> list[str]:
+    """Satellites that transmit, by name: those that are above the mask at some time."""
     if satellites.only is not None:
         for satellite in satellites.only:
             if satellite not in elevation_rad:
                 known = ", ".join(sorted(elevation_rad)) or "none"
                 raise ConfigError(f"satellites.only: no ephemeris of {satellite}; known: {known}")
-            lowest_deg = math.degrees(float(elevation_rad[satellite].min()))
-            if lowest_deg <= 0.0:
-                up = [name for name, angle in sorted(elevation_rad.items()) if angle.min() > 0.0]
+            highest_deg = math.degrees(float(elevation_rad[satellite].max()))
+            if highest_deg <= 0.0:
+                up = [name for name, angle in sorted(elevation_rad.items()) if angle.max() > 0.0]
                 raise ConfigError(
                     f"satellites.only: {satellite} is below the horizon (elevation"
-                    f" {lowest_deg:.1f}°); above it: {', '.join(up) or 'none'}"
+                    f" {highest_deg:.1f}°); above it: {', '.join(up) or 'none'}"
                 )
         return sorted(satellites.only)
+    mask_rad = math.radians(satellites.mask)
     chosen: list[str] = []
     for system in satellites.systems:
         own = {
-            name: float(angle[0])
+            name: float(angle.mean())
             for name, angle in elevation_rad.items()
-            if name[0] == _LETTERS[system] and angle[0] > mask_rad and angle.min() > 0.0
+            if name[0] == _LETTERS[system] and angle.max() > mask_rad
         }
         chosen += sorted(own, key=lambda name: (-own[name], name))[: satellites.limit]
     if not chosen:
@@ -131,29 +136,36 @@ def _chosen(satellites: SatellitesConfig, elevation_rad: dict[str, FloatArray]) 
 
 
 def _emitter(
-    config: ScenarioConfig, satellite: str, times_s: FloatArray, elevation_rad: FloatArray
+    satellites: SatellitesConfig, satellite: str, times_s: FloatArray, elevation_rad: FloatArray
 ) -> Emitter:
-    satellites = config.satellites
+    """A satellite with its C/N0 over time, −inf while it is below the mask."""
     steps = satellites.schedule.get(satellite) or satellites.schedule.get(EVERY)
     if steps is None:
         zenith, horizon = satellites.cn0.zenith, satellites.cn0.horizon
-        values = horizon + (zenith - horizon) * np.sin(elevation_rad)
-        steps = tuple(zip(times_s.tolist(), values.tolist(), strict=True))
-    spans = (*satellites.blocked.get(satellite, ()), *satellites.blocked.get(EVERY, ()))
+        starts, levels = times_s, horizon + (zenith - horizon) * np.sin(elevation_rad)
+    else:
+        starts, levels = np.array(steps).T
+    mask_rad = 0.0 if satellites.only is not None else math.radians(satellites.mask)
+    seconds = np.union1d(starts, times_s)
+    values = levels[np.searchsorted(starts, seconds, side="right") - 1]
+    values[np.interp(seconds, times_s, elevation_rad) <= mask_rad] = -math.inf
     signal = signal_of(_SIGNALS[satellite[0]], int(satellite[1:]))
-    return Emitter(satellite, _without(steps, spans), signal)
+    return Emitter(satellite, _steps(seconds, values), signal)
 
 
-def _without(
-    steps: tuple[tuple[float, float], ...], spans: tuple[tuple[float, float], ...]
-) -> tuple[tuple[float, float], ...]:
-    """Steps of C/N0 with −inf inside of the spans."""
-    seconds = sorted({second for second, _ in steps} | {edge for span in spans for edge in span})
+def _blocked(satellites: SatellitesConfig, emitter: Emitter) -> Emitter:
+    """The emitter with −inf within the spans in which it is blocked."""
+    own = satellites.blocked.get(emitter.satellite, ())
+    spans = (*own, *satellites.blocked.get(EVERY, ()))
+    starts, levels = np.array(emitter.cn0_dbhz).T
+    seconds = np.union1d(starts, np.array(spans).reshape(-1))
+    values = levels[np.searchsorted(starts, seconds, side="right") - 1]
+    for low, high in spans:
+        values[(seconds >= low) & (seconds < high)] = -math.inf
+    return replace(emitter, cn0_dbhz=_steps(seconds, values))
 
-    def value(second: float) -> float:
-        if any(low <= second < high for low, high in spans):
-            return -math.inf
-        return [level for start, level in steps if start <= second][-1]
 
-    levels = [(second, value(second)) for second in seconds]
-    return tuple(step for k, step in enumerate(levels) if k == 0 or step[1] != levels[k - 1][1])
+def _steps(seconds: FloatArray, values: FloatArray) -> tuple[tuple[float, float], ...]:
+    """(second, value) wherever the value changes."""
+    changes = np.append(True, values[1:] != values[:-1])
+    return tuple(zip(seconds[changes].tolist(), values[changes].tolist(), strict=True))

@@ -38,7 +38,7 @@ def made(folder: Path, name: str, *settings: str) -> Simulation:
     write_clock(folder / "clock.csv", scenario, config.truth.rate)
     write_observations(folder, perfect_rover(config.rover), scenario)
     if config.base is not None:
-        write_observations(folder, *base_station(config.base, scenario))
+        write_observations(folder, *base_station(config.base, scenario, simulation.unblocked))
     return simulation
 
 
@@ -125,7 +125,7 @@ def test_base_is_where_it_says_and_noisy_as_it_says(drive: tuple[Path, Simulatio
     folder, simulation = drive
     scenario = simulation.scenario
     station = read_obs(folder / "base.obs", "GC")
-    _, base = base_station(simulation.config.base, scenario)
+    _, base = base_station(simulation.config.base, scenario, simulation.unblocked)
     place = base.vehicle.point(np.zeros(1)).r_m[0]
     assert station.position_e_m == pytest.approx(place, abs=1e-4)
     v = scenario.vehicle
