@@ -67,7 +67,8 @@ class Nodes(NamedTuple):
 def place_of(scenario: Scenario, t_s: FloatArray, antenna: int = 0) -> Place:
     """Where an antenna is at true times (n,), in s from the start."""
     r_e_m = scenario.vehicle.point(t_s, scenario.antennas[antenna].lever_b_m).r_m
-    return Place(t_s, r_e_m, *pymap3d.ecef2geodetic(*r_e_m.T, deg=False))
+    geodetic = pymap3d.ecef2geodetic(*r_e_m.T, deg=False)  # a single point comes back as scalars
+    return Place(t_s, r_e_m, *(np.reshape(x, t_s.shape) for x in geodetic))
 
 
 def receive(
