@@ -7,7 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.frames import C_ne, ecef
 from deepgnss.core.records import BDS_B1I
+from deepgnss.core.time import GpsTime
+from deepgnss.io.rinex_nav import read_nav
+from deepgnss.receiver.orbits import predict, select
 from deepgnss.receiver.signals import (
     BDS_B1I_D1,
     BDS_B1I_D2,
@@ -99,3 +104,45 @@ def test_real_capture(shared_data: Path) -> None:
     assert found[13][0] > 5.0
     assert found[6][0] > 3.0
     assert max(found[12][0], found[33][0]) < 2.5
+
+
+def test_every_satellite_of_another_simulator_is_where_its_orbit_says(shared_data: Path) -> None:
+    """20 ms of dual/b1.bin: Doppler and code phase by the NAV file, at 5° and above."""
+    rate_hz, count = 4.5e6, 4500
+    folder = shared_data / "independent/dual"
+    nav = read_nav(folder / "ESBC00DNK_R_20201770000_01D_MN.rnx.gz")
+    start, lat, lon = GpsTime(2111, 388_818.0), np.radians(55.4935), np.radians(8.4568)
+    v_e_mps = C_ne(lat, lon).T @ (10.0 * np.sqrt(0.5) * np.array([1.0, 1.0, 0.0]))
+    sets = [select(nav, name, start) for name in nav.ephemerides if name[0] == "C"]
+    chosen = [ephemeris for ephemeris in sets if ephemeris is not None]
+    seen = predict(chosen, start, ecef(lat, lon, 60.0), v_e_mps)
+    bits = np.unpackbits(np.fromfile(folder / "b1.bin", np.uint8, count=20 * count // 4))
+    values = 1.0 - 2.0 * bits.astype(np.float64)
+    wave = values[0::2] + 1j * values[1::2]
+    seconds = np.arange(wave.size) / rate_hz
+    found = {}
+    for k, ephemeris in enumerate(chosen):
+        if seen.elevation_rad[k] < np.radians(5.0):
+            continue
+        doppler_hz = -seen.pseudorange_rate_mps[k] / SPEED_OF_LIGHT_MPS * BDS_B1I.carrier_hz
+        chips = np.floor(np.arange(count) * (BDS_B1I.chip_rate_hz / rate_hz)).astype(int)
+        padded = np.zeros(2 * count)  # 1 ms of code in 2 ms: a change of sign splits nothing
+        padded[:count] = b1i_code(int(ephemeris.satellite[1:]))[chips]
+        code = np.conj(np.fft.fft(padded))
+        powers = []
+        for off_hz in (-250.0, 0.0, 250.0):
+            turned = wave * np.exp(-2j * np.pi * (doppler_hz + off_hz) * seconds)
+            pieces = np.array([turned[n * count :][: 2 * count] for n in range(18)])
+            sums = np.fft.ifft(np.fft.fft(pieces) * code)[:, :count]
+            powers.append((np.abs(sums) ** 2).sum(axis=0))
+        tops = [float(power.max()) for power in powers]
+        assert tops[1] == max(tops)
+        top = int(powers[1].argmax())
+        sent_s = start.tow_s - seen.pseudorange_m[k] / SPEED_OF_LIGHT_MPS
+        late = (top + sent_s * rate_hz + 0.5 * count) % count - 0.5 * count
+        assert abs(late) < 1.2, ephemeris.satellite  # the atmosphere makes it late by up to 0.5
+        away = np.abs((np.arange(count) - top + count // 2) % count - count // 2) > 5
+        found[ephemeris.satellite] = tops[1] / powers[1][away].max()
+    assert len(found) == 12
+    assert "C05" in found
+    assert min(found.values()) > 3.0
