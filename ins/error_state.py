@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepgnss.core.attitude import attitude_corrected, attitude_error_n
+from deepgnss.core.attitude import attitude_corrected, attitude_error_n, skew
 from deepgnss.core.earth import meridian_radius_m, transverse_radius_m
 from deepgnss.core.records import FloatArray, InsState
 from deepgnss.ins.error_model import (
@@ -83,6 +83,19 @@ class Estimate:
     def extra(self, index: int) -> float:
         """Nominal value at an index of the error vector behind the inertial ones."""
         return float(self.extras[index - self.layout.inertial])
+
+
+def turned_along(x_velocity_mps: FloatArray, size: int) -> FloatArray:
+    """M (size, size): errors about the new estimate after body velocities corrected v by x (3,).
+
+    Wheels and road say how fast the body moves along its own axes, nothing of where it heads: a
+    wrong attitude leaves η = δv − v̂×φ alone (the invariant error, Barrau and Bonnabel 2017). When
+    such a correction moves v̂, δv = η + v̂×φ has to move along, or the filter gains heading from
+    nothing: after a MEMS unit's minute on wheels and road alone it stood off by five of its σ.
+    """
+    M = np.eye(size)
+    M[VELOCITY, ATTITUDE] = -skew(x_velocity_mps)
+    return M
 
 
 def corrected(state: InsState, x: FloatArray) -> InsState:

@@ -74,6 +74,7 @@ class FilterEpoch:
 
     estimate: Estimate  # after the corrections
     x: FloatArray  # (size,) error taken off the prediction
+    x_turning_mps: FloatArray  # (3,) see `Updated`
     P_predicted: FloatArray  # (size, size)
     Phi: FloatArray  # (size, size) from the epoch before
     continues: bool  # False: first after a start, Phi means nothing
@@ -170,7 +171,9 @@ class _Run:
         size = estimate.layout.size
         self._navigator = InsNavigator(estimate, self.noise, None, self.settings.epoch_s)
         self._Phi, self._refused = np.eye(size), 0
-        self.epochs.append(FilterEpoch(estimate, np.zeros(size), estimate.P, np.eye(size), False))
+        self.epochs.append(
+            FilterEpoch(estimate, np.zeros(size), np.zeros(3), estimate.P, np.eye(size), False)
+        )
         self.note(estimate.ins.time.since(self.block.origin), "started", "aligned")
 
     def through(self, instants: Sequence[_Instant]) -> float | None:
@@ -229,7 +232,9 @@ class _Run:
     def _correct(self, instant: _Instant, trajectory: Trajectory) -> None:
         estimate = self._navigator.estimate
         after = updated(estimate, self._measured(instant, trajectory), self.settings.false_alarm)
-        self.epochs.append(FilterEpoch(after.estimate, after.x, estimate.P, self._Phi, True))
+        self.epochs.append(
+            FilterEpoch(after.estimate, after.x, after.x_turning_mps, estimate.P, self._Phi, True)
+        )
         self.innovations.extend(after.innovations)
         for innovation in after.innovations:
             if innovation.kind == "position":

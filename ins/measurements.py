@@ -28,12 +28,16 @@ from deepgnss.ins.error_state import Estimate, Layout
 
 
 class Measurement(NamedTuple):
-    """z = predicted − measured (m,), its slope H (m, size) in the errors, and R (m, m)."""
+    """z = predicted − measured (m,), its slope H (m, size) in the errors, and R (m, m).
+
+    in_body: of the velocity along body axes, see `error_state.turned_along`.
+    """
 
     kind: str
     z: FloatArray
     H: FloatArray
     R: FloatArray
+    in_body: bool = False
 
 
 class Point(NamedTuple):
@@ -120,7 +124,7 @@ def nonholonomic(
     down); sigma_mps (2,): lateral and vertical.
     """
     v_v, H = _vehicle_velocity(ins, omega_ib_b_radps, axle_b_m, C_vb, layout)
-    return Measurement("non-holonomic", v_v[1:], H[1:], np.diag(np.asarray(sigma_mps) ** 2))
+    return Measurement("non-holonomic", v_v[1:], H[1:], np.diag(np.asarray(sigma_mps) ** 2), True)
 
 
 def odometer(
@@ -138,7 +142,7 @@ def odometer(
     H = (1.0 + scale) * H[:1]
     H[0, layout.odometer_scale] = v_v[0]
     z = np.array([(1.0 + scale) * v_v[0] - speed_mps])
-    return Measurement("odometer", z, H, np.array([[sigma_mps**2]]))
+    return Measurement("odometer", z, H, np.array([[sigma_mps**2]]), True)
 
 
 def zero_velocity(ins: InsState, sigma_mps: float, layout: Layout) -> Measurement:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from deepgnss.ins.error_state import Estimate
+from deepgnss.ins.error_state import Estimate, turned_along
 from deepgnss.ins.integration import FilterEpoch
 
 
@@ -32,7 +32,8 @@ def smoothed(epochs: Sequence[FilterEpoch]) -> tuple[Estimate, ...]:
             scale = np.sqrt(np.diagonal(after.P_predicted))  # metres beside rad/s
             factor = cho_factor(after.P_predicted / np.outer(scale, scale), lower=True)
             C = (cho_solve(factor, (after.Phi @ estimate.P) / scale[:, np.newaxis])).T / scale
-            P = estimate.P - C @ (after.P_predicted - P) @ C.T
-            error, P = C @ (after.x + error), 0.5 * (P + P.T)
+            back = turned_along(-after.x_turning_mps, P.shape[0])  # about the prediction
+            P = estimate.P - C @ (after.P_predicted - back @ P @ back.T) @ C.T
+            error, P = C @ (after.x + back @ error), 0.5 * (P + P.T)
         found.append(estimate.corrected(error, P))
     return tuple(reversed(found))

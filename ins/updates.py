@@ -10,7 +10,8 @@ import numpy as np
 
 from deepgnss.core.records import FloatArray
 from deepgnss.core.time import GpsTime
-from deepgnss.ins.error_state import Estimate
+from deepgnss.ins.error_model import VELOCITY
+from deepgnss.ins.error_state import Estimate, turned_along
 from deepgnss.ins.filter import check_covariance, correct, innovation_limit
 from deepgnss.ins.measurements import Measurement
 
@@ -31,6 +32,7 @@ class Updated(NamedTuple):
 
     estimate: Estimate
     x: FloatArray  # (size,) error that was taken off
+    x_turning_mps: FloatArray  # (3,) that of velocity by measurements in body axes
     innovations: tuple[Innovation, ...]
 
 
@@ -47,19 +49,22 @@ def updated(estimate: Estimate, measurements: Iterable[Measurement], false_alarm
     One after the other about the same prediction; a sound one is refused with probability
     `false_alarm`. Raises NumericalError when the covariance loses its footing.
     """
-    x, P = np.zeros(estimate.layout.size), estimate.P
+    x, P, x_turning = np.zeros(estimate.layout.size), estimate.P, np.zeros(3)
     innovations = []
-    for kind, z, H, R in measurements:
+    for kind, z, H, R, in_body in measurements:
         correction = correct(x, P, z, H, R)
         accepted = correction.nis <= innovation_limit(z.size, false_alarm)
         if accepted:
+            if in_body:
+                x_turning += correction.x[VELOCITY] - x[VELOCITY]
             x, P = correction.x, correction.P
         innovations.append(
             Innovation(estimate.ins.time, kind, correction.innovation, correction.nis, accepted)
         )
     if innovations:
         check_covariance(P)
-    return Updated(estimate.corrected(x, P), x, tuple(innovations))
+    M = turned_along(x_turning, x.size)
+    return Updated(estimate.corrected(x, M @ P @ M.T), x, x_turning, tuple(innovations))
 
 
 def counts(innovations: Iterable[Innovation]) -> Mapping[str, Count]:
