@@ -209,7 +209,8 @@ def _hidden(
 ) -> tuple[float, float]:
     """Way to the piece of panels [first, end), and the part that it hides of a source along d."""
     hidden, enter = 1.0, 0.0
-    outside = far_outside = False
+    limit = 0.5 * wavelength * _CLEAR_V**2
+    passed, share = 0.0, -math.inf  # at the edge that bounds the piece where the ray misses it
     for m in range(first, end):
         height = _height(r, corners, normals, m)
         if height <= 0.0 and end - first > 1:
@@ -229,31 +230,41 @@ def _hidden(
             inside = _dot(p, c)
             if height < 0.0:
                 inside = -inside
-            seam = kind == _SEAM and not (alone and i in _SIDES)
-            sharp = not bending or seam or cut[m]
-            if sharp or (kind >= 0 and cut[kind]):
+            goes_on = _goes_on(edges, cut, m, i) and not (alone and i in _SIDES)
+            if not bending or cut[m] or goes_on:
                 if inside < 0.0:
                     return enter, 0.0
                 continue
+            moment = _cross(p, e)
+            if inside < 0.0 and inside**2 * abs(height) > limit * _dot(moment, moment):
+                return enter, 0.0  # all of the piece lies further from the ray than its bend
             # where along ray and edge (0 to 1) they are nearest
             square = _dot(c, c) + 1.0e-12
-            way = _dot(_cross(p, e), c) / square
+            way = _dot(moment, c) / square
             at = _dot(_cross(p, d), c) / square
-            # Beyond its ends an edge fades out over the width of the bend: others bound there.
-            width = -_CLEAR_V * math.sqrt(0.5 * wavelength * max(way, 1.0e-3))
-            fade = 1.0 - max(-at, at - 1.0, 0.0) * math.sqrt(square) / width
-            if fade <= 0.0:
-                far_outside = far_outside or inside < 0.0
-                continue
-            outside = outside or inside < 0.0
+            bent = 1.0 if inside < 0.0 else 0.0
             if way > 0.0:
-                v = inside * math.sqrt(2.0 / (wavelength * way * square))
-                hidden *= 1.0 - _knife_edge(v) * fade
-            elif inside < 0.0:
-                hidden *= 1.0 - fade
-            if hidden == 0.0:
+                bent = _knife_edge(inside * math.sqrt(2.0 / (wavelength * way * square)))
+            # Past its ends an edge fades out over the width of the bend: others bound there.
+            beyond = max(-at, at - 1.0, 0.0)
+            if beyond > 0.0 and _goes_on(edges, cut, m, (i + 1 if at > 1.0 else i - 1) % 4):
+                beyond = 0.0
+            width = -_CLEAR_V * math.sqrt(0.5 * wavelength * max(way, 1.0e-3))
+            fade = 1.0 - beyond * math.sqrt(square) / width
+            if inside < 0.0 and fade > share:  # the edge that reaches furthest counts in full
+                bent, passed = passed, bent
+                fade, share = share, fade
+            hidden *= 1.0 - bent * max(fade, 0.0)
+            if hidden == 0.0 or (passed == 1.0 and share == 1.0):
                 return enter, 0.0
-    return enter, 0.0 if far_outside and not outside else hidden
+    return enter, hidden * (1.0 - passed)
+
+
+@kernel
+def _goes_on(edges: NDArray[np.int64], cut: NDArray[np.bool_], m: int, i: int) -> bool:
+    """Whether the body goes on beyond edge i of panel m."""
+    kind = edges[m, i]
+    return bool(kind == _SEAM or (kind >= 0 and cut[kind]))
 
 
 @kernel
