@@ -1,10 +1,5 @@
 """BeiDou D1 and D2: words, subframes to ephemerides and back (BDS-SIS-ICD B1I 5.2, 5.3).
 
-A subframe is 300 bits in ten words, 224 of them information. Read without parity and interleaving
-the information is dense: a field that the interface document splits over words is one piece here,
-and a page is just the list of its fields (`FIELDS`, `D1_PAGES`, `D2_PAGES`), which serves encoder
-and decoder. Fields split over pages name their pieces in both.
-
 D1 (50 bps, MEO and IGSO): frames of 30 s, ephemeris in subframes 1–3. D2 (500 bps, GEO): frames
 of 3 s, ephemeris in subframe 1 of ten frames. Times are GPST outside, BDT in the bits.
 """
@@ -14,176 +9,39 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from deepgnss.core.constants import BDT_MINUS_GPST_S, GPS_PI, SECONDS_PER_WEEK
-from deepgnss.core.errors import NumericalError
+from deepgnss.core.constants import BDT_MINUS_GPST_S, SECONDS_PER_WEEK
 from deepgnss.core.records import Ephemeris, Klobuchar, UtcParameters
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import bch
+from deepgnss.receiver.beidou_layout import (
+    D1_PAGES,
+    D2_PAGES,
+    FIELDS,
+    HEADER_BITS,
+    INFORMATION_BITS,
+    KLOBUCHAR_FIELDS,
+    Layout,
+    Page,
+    pack,
+    unpack,
+)
 from deepgnss.receiver.lnav import URA_M
 from deepgnss.receiver.messages import Bits, Frame, IonoUtc, MessageFormat, News, nearest
 
 SUBFRAME_BITS: Final = 300
 WORD_BITS: Final = 30
-INFORMATION_BITS: Final = 26 + 9 * 22
 PREAMBLE: Final = np.array([1, 1, 1, 0, 0, 0, 1, 0, 0, 1, 0], dtype=np.int8)
 BDT_WEEK_OFFSET: Final = 1356
 """GPS week of BeiDou week 0."""
 
 _HEAD_BITS: Final = 2 * WORD_BITS
-_HEADER: Final = (("preamble", 11), ("", 4), ("subframe_id", 3), ("sow_s", 20))
-_HEADER_BITS: Final = sum(length for _, length in _HEADER)
 _CYCLE_S: Final = 30.0  # of all pages of an ephemeris, D1 and D2
 _SET_S: Final = 3600.0  # sets change on the full hour of BDT
 _MOST_CORRECTED: Final = 4  # of 19 code words: a subframe with more of them is not believed
-
-# --- fields --------------------------------------------------------------------------------------
-
-
-class Field(NamedTuple):
-    """How a number is written: bits, unit of the last one, two's complement or not."""
-
-    bits: int
-    scale: float = 1.0
-    signed: bool = False
-
-
-FIELDS: Final[Mapping[str, Field]] = {
-    "page": Field(7),
-    "d2_page": Field(4),
-    "health": Field(1),
-    "iodc": Field(5),  # AODC
-    "ura_index": Field(4),
-    "week": Field(13),
-    "toc_s": Field(17, 2.0**3),
-    "group_delay_s": Field(10, 1e-10, True),  # TGD1
-    "group_delay2_s": Field(10, 1e-10, True),
-    "alpha0": Field(8, 2.0**-30, True),
-    "alpha1": Field(8, 2.0**-27, True),
-    "alpha2": Field(8, 2.0**-24, True),
-    "alpha3": Field(8, 2.0**-24, True),
-    "beta0": Field(8, 2.0**11, True),
-    "beta1": Field(8, 2.0**14, True),
-    "beta2": Field(8, 2.0**16, True),
-    "beta3": Field(8, 2.0**16, True),
-    "af2_sps2": Field(11, 2.0**-66, True),
-    "af0_s": Field(24, 2.0**-33, True),
-    "af1_sps": Field(22, 2.0**-50, True),
-    "iode": Field(5),  # AODE
-    "delta_n_radps": Field(16, 2.0**-43 * GPS_PI, True),
-    "cuc_rad": Field(18, 2.0**-31, True),
-    "m0_rad": Field(32, 2.0**-31 * GPS_PI, True),
-    "eccentricity": Field(32, 2.0**-33),
-    "cus_rad": Field(18, 2.0**-31, True),
-    "crc_m": Field(18, 2.0**-6, True),
-    "crs_m": Field(18, 2.0**-6, True),
-    "sqrt_a_rm": Field(32, 2.0**-19),
-    "toe_s": Field(17, 2.0**3),
-    "i0_rad": Field(32, 2.0**-31 * GPS_PI, True),
-    "cic_rad": Field(18, 2.0**-31, True),
-    "omega_dot_radps": Field(24, 2.0**-43 * GPS_PI, True),
-    "cis_rad": Field(18, 2.0**-31, True),
-    "idot_radps": Field(14, 2.0**-43 * GPS_PI, True),
-    "omega0_rad": Field(32, 2.0**-31 * GPS_PI, True),
-    "omega_rad": Field(32, 2.0**-31 * GPS_PI, True),
-    "leap_s": Field(8, 1.0, True),  # BDT − UTC
-    "leap_future_s": Field(8, 1.0, True),
-    "leap_week": Field(8),
-    "a0_s": Field(32, 2.0**-30, True),
-    "a1_sps": Field(24, 2.0**-50, True),
-    "leap_day": Field(8),  # 0–6
-}
-"""Every number of the messages (BDS-SIS-ICD B1I tables 5-5 to 5-11, 5-17)."""
-
-Layout = tuple[tuple[str, int], ...]
-Page = tuple[int, int]  # number of the subframe, and page where subframes have pages
-
-_KLOBUCHAR: Final = tuple(f"{half}{n}" for half in ("alpha", "beta") for n in range(4))
-
-
-def _whole(*names: str) -> Layout:
-    """Fields that stand undivided."""
-    return tuple((name, FIELDS[name].bits) for name in names)
-
-
-_UTC_PAGE: Final = (
-    ("", 1),
-    *_whole("page", "leap_s", "leap_future_s", "leap_week", "a0_s", "a1_sps", "leap_day"),
-)
-
-D1_PAGES: Final[Mapping[Page, Layout]] = {  # from bit 39 of the information on
-    (1, 0): _whole("health", "iodc", "ura_index", "week", "toc_s", "group_delay_s")
-    + _whole("group_delay2_s", *_KLOBUCHAR, "af2_sps2", "af0_s", "af1_sps", "iode"),
-    (2, 0): _whole("delta_n_radps", "cuc_rad", "m0_rad", "eccentricity", "cus_rad", "crc_m")
-    + (*_whole("crs_m", "sqrt_a_rm"), ("toe_s", 2)),
-    (3, 0): (("toe_s", 15), *_whole("i0_rad", "cic_rad", "omega_dot_radps", "cis_rad"))
-    + _whole("idot_radps", "omega0_rad", "omega_rad"),
-    (5, 10): _UTC_PAGE,
-}
-
-D2_PAGES: Final[Mapping[Page, Layout]] = {
-    (1, 1): _whole("d2_page", "health", "iodc", "ura_index", "week", "toc_s", "group_delay_s")
-    + _whole("group_delay2_s"),
-    (1, 2): _whole("d2_page", *_KLOBUCHAR),
-    (1, 3): (*_whole("d2_page"), ("", 38), *_whole("af0_s"), ("af1_sps", 4)),
-    (1, 4): (*_whole("d2_page"), ("af1_sps", 18), *_whole("af2_sps2", "iode", "delta_n_radps"))
-    + (("cuc_rad", 14),),
-    (1, 5): (*_whole("d2_page"), ("cuc_rad", 4), *_whole("m0_rad", "cus_rad"))
-    + (("eccentricity", 10),),
-    (1, 6): (*_whole("d2_page"), ("eccentricity", 22), *_whole("sqrt_a_rm"), ("cic_rad", 10)),
-    (1, 7): (*_whole("d2_page"), ("cic_rad", 8), *_whole("cis_rad", "toe_s"), ("i0_rad", 21)),
-    (1, 8): (*_whole("d2_page"), ("i0_rad", 11), *_whole("crc_m", "crs_m"))
-    + (("omega_dot_radps", 19),),
-    (1, 9): (*_whole("d2_page"), ("omega_dot_radps", 5), *_whole("omega0_rad"))
-    + (("omega_rad", 27),),
-    (1, 10): (*_whole("d2_page"), ("omega_rad", 5), *_whole("idot_radps")),
-    (5, 102): _UTC_PAGE,
-}
-
-
-def _unpack(pages: Mapping[Page, Layout], information: Mapping[Page, int]) -> dict[str, float]:
-    """Values of the fields of the pages at hand; a field spread over pages needs all of them."""
-    raw: dict[str, int] = {}
-    for page in sorted(information):
-        at = INFORMATION_BITS - _HEADER_BITS
-        for name, length in pages[page]:
-            at -= length
-            raw[name] = raw.get(name, 0) << length | information[page] >> at & (1 << length) - 1
-    values = {}
-    for name in raw.keys() - {""}:
-        bits, scale, signed = FIELDS[name]
-        negative = signed and raw[name] >> (bits - 1)
-        values[name] = (raw[name] - (1 << bits if negative else 0)) * scale
-    return values
-
-
-def _pack(pages: Mapping[Page, Layout], page: Page, values: Mapping[str, float]) -> int:
-    """The information of a page, header empty; what no field takes is 0."""
-    left = {name: FIELDS[name].bits for name in FIELDS}
-    for earlier in (p for p in sorted(pages) if p < page):
-        for name, length in pages[earlier]:
-            if name in left and length < left[name]:
-                left[name] -= length
-    information, at = 0, INFORMATION_BITS - _HEADER_BITS
-    for name, length in pages[page]:
-        at -= length
-        if name:
-            left[name] -= length
-            information |= (_raw(name, values[name]) >> left[name] & (1 << length) - 1) << at
-    return information
-
-
-def _raw(name: str, value: float) -> int:
-    bits, scale, signed = FIELDS[name]
-    raw = round(value / scale)
-    low = -(1 << (bits - 1)) if signed else 0
-    if not low <= raw < low + (1 << bits):
-        raise NumericalError(f"BeiDou {name}: {value} needs more than {bits} bits of {scale:g}")
-    return raw
-
 
 # --- words ---------------------------------------------------------------------------------------
 
@@ -227,7 +85,7 @@ class BeidouSubframe:
     @property
     def payload(self) -> int:
         """Information behind the second of week."""
-        return self.information & (1 << (INFORMATION_BITS - _HEADER_BITS)) - 1
+        return self.information & (1 << (INFORMATION_BITS - HEADER_BITS)) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,7 +110,7 @@ class _Kind:
         if (number, 0) in self.pages:
             return number, 0
         length = 4 if number == 1 else 8  # the latter with a bit that is reserved
-        shown = subframe.payload >> INFORMATION_BITS - _HEADER_BITS - length
+        shown = subframe.payload >> INFORMATION_BITS - HEADER_BITS - length
         page = number, shown & 127
         return page if page in self.pages else None
 
@@ -269,7 +127,7 @@ def _decode(kind: _Kind, bits: Bits) -> BeidouSubframe | None:
     if not np.array_equal(bits[: PREAMBLE.size], PREAMBLE):
         return None
     information, corrected = decode_words(bits)
-    handover = _handover(kind, information >> INFORMATION_BITS - _HEADER_BITS)
+    handover = _handover(kind, information >> INFORMATION_BITS - HEADER_BITS)
     if corrected > _MOST_CORRECTED or handover is None:
         return None
     return BeidouSubframe(*handover, information, corrected)
@@ -319,7 +177,7 @@ def _clean_head(kind: _Kind, bits: Bits) -> tuple[float, int] | None:
     if not np.array_equal(bits[: PREAMBLE.size], PREAMBLE):
         return None
     information, corrected = decode_words(bits)
-    return None if corrected else _handover(kind, information >> 48 - _HEADER_BITS)
+    return None if corrected else _handover(kind, information >> 48 - HEADER_BITS)
 
 
 # --- from subframes to records -------------------------------------------------------------------
@@ -368,15 +226,15 @@ def _collect(
             state = replace(state, ephemeris=ephemeris)
             news.append(ephemeris)
     if page == kind.klobuchar:
-        values = _unpack(kind.pages, {page: subframe.information})
-        a0, a1, a2, a3, b0, b1, b2, b3 = (values[name] for name in _KLOBUCHAR)
+        values = unpack(kind.pages, {page: subframe.information})
+        a0, a1, a2, a3, b0, b1, b2, b3 = (values[name] for name in KLOBUCHAR_FIELDS)
         klobuchar = Klobuchar((a0, a1, a2, a3), (b0, b1, b2, b3))
         if klobuchar != state.klobuchar and any(klobuchar.alpha + klobuchar.beta):
             state = replace(state, klobuchar=klobuchar)
             news.append(IonoUtc(klobuchar, None, state.satellite[0]))
     date = state.ephemeris.transmitted if state.ephemeris else near
     if page == kind.utc and date is not None:
-        utc = _utc(_unpack(kind.pages, {page: subframe.information}), date)
+        utc = _utc(unpack(kind.pages, {page: subframe.information}), date)
         if utc != state.utc:
             state = replace(state, utc=utc)
             news.append(IonoUtc(None, utc, state.satellite[0]))
@@ -391,7 +249,7 @@ def _ephemeris(kind: _Kind, state: BeidouState) -> Ephemeris | None:
         round(part.start_tow_s - kind.cycle[page]) % SECONDS_PER_WEEK
         for page, part in parts.items()
     }
-    values = _unpack(kind.pages, {page: part.information for page, part in parts.items()})
+    values = unpack(kind.pages, {page: part.information for page, part in parts.items()})
     sent_s = max(starts_s)
     if len(starts_s) > 1 and (
         sent_s - min(starts_s) > _CYCLE_S
@@ -456,18 +314,18 @@ def _encode(
     values = {**_values(ephemeris, bdt.week), **_page_values(klobuchar, utc), "d2_page": page[1]}
     values["page"] = page[1]
     if page in kind.pages and (page != kind.utc or utc is not None):
-        information = _pack(kind.pages, page, values)
+        information = pack(kind.pages, page, values)
         if kind is _D2 and subframe_id == 1:  # its last five words are reserved
             information |= int("10" * 55, 2)
     else:
         information = _filler(subframe_id, page[1])
     head = 0x712 << 27 | subframe_id << 20 | sow_s
-    return encode_words(head << INFORMATION_BITS - _HEADER_BITS | information)
+    return encode_words(head << INFORMATION_BITS - HEADER_BITS | information)
 
 
 def _filler(subframe_id: int, page: int) -> int:
     """Alternating ones and zeros behind the page number."""
-    length = INFORMATION_BITS - _HEADER_BITS - 8
+    length = INFORMATION_BITS - HEADER_BITS - 8
     return page << length | int("10" * (length // 2), 2)
 
 
@@ -485,7 +343,7 @@ def _page_values(klobuchar: Klobuchar | None, utc: UtcParameters | None) -> dict
     coefficients: Sequence[float] = (0.0,) * 8
     if klobuchar is not None:
         coefficients = klobuchar.alpha + klobuchar.beta
-    values = dict(zip(_KLOBUCHAR, coefficients, strict=True))
+    values = dict(zip(KLOBUCHAR_FIELDS, coefficients, strict=True))
     if utc is not None:
         values |= {
             "a0_s": utc.a0_s,

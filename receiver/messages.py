@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from deepgnss.core.constants import SECONDS_PER_WEEK
 from deepgnss.core.records import Ephemeris, Klobuchar, UtcParameters
 from deepgnss.core.time import GpsTime
 
@@ -68,10 +69,7 @@ class MessageFormat:
     collect: Callable[[Any, Any, GpsTime | None], tuple[Any, tuple[News, ...]]]
 
 
-# --- fields --------------------------------------------------------------------------------------
-
-
-def nearest(tow_s: float, reference: GpsTime, week_s: float = 604_800.0) -> GpsTime:
+def nearest(tow_s: float, reference: GpsTime) -> GpsTime:
     """The instant with this second of week that lies nearest to `reference`."""
-    half = week_s / 2
-    return reference.plus((tow_s - reference.tow_s + half) % week_s - half)
+    half = SECONDS_PER_WEEK / 2
+    return reference.plus((tow_s - reference.tow_s + half) % SECONDS_PER_WEEK - half)

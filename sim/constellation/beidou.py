@@ -17,7 +17,7 @@ import numpy as np
 from deepgnss.core.constants import BDT_MINUS_GPST_S, SECONDS_PER_WEEK
 from deepgnss.core.records import Ephemeris, FloatArray, Klobuchar, NavData
 from deepgnss.core.time import GpsTime
-from deepgnss.receiver.beidou_nav import FIELDS
+from deepgnss.receiver.beidou_layout import FIELDS
 from deepgnss.sim.constellation.sets import rounded, utc_at
 
 _GM_M3PS2: Final = 3.986004418e14

@@ -20,13 +20,10 @@ from deepgnss.core.records import Ephemeris, Klobuchar, UtcParameters
 from deepgnss.core.time import GpsTime
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.receiver import bch
+from deepgnss.receiver.beidou_layout import D1_PAGES, D2_PAGES, FIELDS, INFORMATION_BITS
 from deepgnss.receiver.beidou_nav import (
     D1,
-    D1_PAGES,
     D2,
-    D2_PAGES,
-    FIELDS,
-    INFORMATION_BITS,
     PREAMBLE,
     decode_words,
     encode_d1,
