@@ -77,7 +77,7 @@ def _noise(
         random = random_stream(seed, "clock", number + _MARGIN_S)
         phase_s, after = _second(oscillator, state, random)
         if vehicle is not None and oscillator.g_sensitivity:
-            t_s = number + np.arange(NODES_PER_SECOND + 1) * _STEP_S - clock.offset_s
+            t_s = np.asarray(number - clock.offset_s + np.arange(NODES_PER_SECOND + 1) * _STEP_S)
             pull = oscillator.g_sensitivity * force_g(vehicle, clock, t_s)
             phase_s[1:] += np.cumsum(0.5 * (pull[:-1] + pull[1:])) * _STEP_S
         if number + _MARGIN_S + 1 == len(starts):

@@ -64,6 +64,8 @@ def sample_source(
         end_ms = math.ceil((first + count) / samples_per_ms) + 1
         window = nodes(first_ms - STENCIL[0], end_ms + STENCIL[1])
         add_signals(samples, first, first_ms, samples_per_ms, *rows(window, first_ms))
+        if front_end.inverted and front_end.is_complex:
+            samples[1] *= -1.0
         return samples
 
     def filtered(first: int, count: int) -> Samples:

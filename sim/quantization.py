@@ -70,7 +70,8 @@ def _hermite_powers(bits: int) -> tuple[float, FloatArray]:
 def _code_spectrum(front_end: FrontEnd, signal: SignalId) -> FloatArray:
     """Power of a random code at the frequencies of a transform, aliases folded."""
     rate_hz = front_end.sample_rate_hz
-    residual_hz = signal.carrier_hz - front_end.centre_hz + front_end.intermediate_hz
+    residual_hz = signal.carrier_hz - front_end.centre_hz
+    residual_hz = front_end.intermediate_hz + front_end.sense * residual_hz
     f_hz = np.fft.fftfreq(_SPECTRUM, 1.0 / rate_hz)
     weight = np.zeros(_SPECTRUM)
     for alias in range(-3, 4):

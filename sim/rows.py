@@ -7,7 +7,7 @@ A² = 4·(C/N0)/fs for real ones (power A² or A²/2 over a noise density of 2/f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -66,7 +66,7 @@ def row_source(scenario: Scenario, front_end: FrontEnd) -> RowSource:
         np.array([getattr(e.signal.id, name) for e in emitters], dtype=np.float64)[:, None]
         for name in ("carrier_hz", "chip_rate_hz")
     )
-    residual_hz = carrier_hz - front_end.centre_hz + front_end.intermediate_hz
+    residual_hz = carrier_hz - front_end.centre_hz + front_end.sense * front_end.intermediate_hz
     whole_s = math.floor(scenario.start.tow_s)
     fraction_s = scenario.start.tow_s - whole_s
 
@@ -153,7 +153,7 @@ def _levels(schedule: tuple[FloatArray, FloatArray], ms: IntArray) -> FloatArray
     return values[np.maximum(np.searchsorted(starts, ms * 1.0e-3, side="right") - 1, 0)]
 
 
-def _signs(emitter: Emitter, symbols: Symbols, periods: IntArray) -> Sequence[int]:
+def _signs(emitter: Emitter, symbols: Symbols, periods: IntArray) -> NDArray[np.int8]:
     """Symbol × secondary code of code periods (n,) since the start of the GPS week."""
     signal = emitter.signal
     out = symbols.values[periods // signal.symbol_periods - symbols.first]

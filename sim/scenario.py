@@ -35,6 +35,7 @@ class FrontEnd:
     intermediate_hz: float = 0.0
     bandwidth_hz: float | None = None
     filter_taps: int = 63
+    inverted: bool = False  # spectrum: what lies above the centre comes out below the IF
 
     def __post_init__(self) -> None:
         """Refuse what no front end can do."""
@@ -58,6 +59,11 @@ class FrontEnd:
             )
 
     @property
+    def sense(self) -> int:
+        """+1 where a frequency rises with that of the carrier, −1 with an inverted spectrum."""
+        return -1 if self.inverted else 1
+
+    @property
     def usable_hz(self) -> float:
         """Two-sided band around the filter's middle that the sampling rate leaves, Hz."""
         if self.is_complex:
@@ -66,10 +72,8 @@ class FrontEnd:
 
     def hears(self, signal: SignalId) -> bool:
         """Whether the sampled band holds the carrier and half the chip rate on either side."""
-        low_hz, high_hz = (
-            signal.carrier_hz - self.centre_hz + self.intermediate_hz + side * signal.chip_rate_hz
-            for side in (-0.5, 0.5)
-        )
+        middle_hz = self.intermediate_hz + self.sense * (signal.carrier_hz - self.centre_hz)
+        low_hz, high_hz = (middle_hz + side * signal.chip_rate_hz for side in (-0.5, 0.5))
         half_hz = self.sample_rate_hz / 2.0
         return low_hz >= (-half_hz if self.is_complex else 0.0) and high_hz <= half_hz
 

@@ -29,7 +29,8 @@ def code_windows(code: NDArray[np.int8]) -> NDArray[np.int64]:
     """The 64 chips from each chip of a periodic code on, (chips,): bit set where the chip is −1."""
     after = np.arange(code.size)[:, None] + np.arange(_WINDOW)
     bits = (code[after % code.size] < 0).astype(np.uint64)
-    return np.bitwise_or.reduce(bits << np.arange(_WINDOW, dtype=np.uint64), axis=1).view(np.int64)
+    words = np.bitwise_or.reduce(bits << np.arange(_WINDOW, dtype=np.uint64), axis=1)
+    return np.asarray(words).view(np.int64)
 
 
 @kernel

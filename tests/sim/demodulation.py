@@ -31,7 +31,8 @@ class Truth:
         reading_s = samples / self.front_end.sample_rate_hz
         error_s = clock.offset_s + clock.drift_sps * reading_s
         truth = receive(self.scenario, self.emitter, self.orbit, reading_s - error_s, self.antenna)
-        residual_hz = carrier_hz - self.front_end.centre_hz + self.front_end.intermediate_hz
+        shift_hz = self.front_end.intermediate_hz * (-1.0 if self.front_end.inverted else 1.0)
+        residual_hz = carrier_hz - self.front_end.centre_hz + shift_hz
         cycles = residual_hz * reading_s - truth.carrier_cycles - carrier_hz * error_s
         sent_s = self.scenario.start.tow_s % 1.0 + reading_s - error_s
         return cycles, sent_s - truth.pseudorange_m / SPEED_OF_LIGHT_MPS
@@ -77,12 +78,14 @@ def demodulate(
 ) -> ComplexArray:
     """Mean of samples × conj(true signal) over `count` samples from each of `firsts`."""
     source, truth = sample_source(scenario, stream), Truth(scenario, emitter, stream)
-    return np.array(
-        [
-            np.mean(as_complex(source(int(first), count)) * truth.local(int(first), count))
-            for first in firsts
-        ]
-    )
+    front_end = scenario.streams[stream].front_end
+    sums = []
+    for first in firsts:
+        samples = as_complex(source(int(first), count))
+        if front_end.inverted and front_end.is_complex:
+            samples = samples.conj()
+        sums.append(np.mean(samples * truth.local(int(first), count)))
+    return np.array(sums)
 
 
 def phase_cycles(sums: ComplexArray) -> FloatArray:

@@ -117,6 +117,25 @@ def test_symbols_and_secondary_code_leave_at_their_time(index: int) -> None:
     assert len(set(expected)) == 2
 
 
+@pytest.mark.parametrize("is_complex", [True, False], ids=["iq", "real"])
+def test_inverted_spectrum(is_complex: bool) -> None:
+    """RF 0.4 MHz above the centre comes out 0.4 MHz below the IF, and phases run backwards."""
+    front_end = FrontEnd(
+        8.0e6, "float32", is_complex=is_complex, centre_hz=GPS_L1CA.carrier_hz - 4.0e5,
+        intermediate_hz=2.1e6, inverted=True,
+    )  # fmt: skip
+    scenario = _scenario((Stream("L1", front_end),))
+    emitter = scenario.emitters[0]
+    sums = demodulate(scenario, emitter, np.array([77_777, 9_999_999]), 8000)
+    assert np.abs(phase_cycles(sums)).max() < 1.0e-3
+    spectrum = np.abs(np.fft.fft(as_complex(sample_source(scenario)(0, 1 << 16)))) ** 2
+    f_hz = np.fft.fftfreq(1 << 16, 1.0 / 8.0e6)
+    inside = (f_hz > 0.0) & (f_hz < 3.4e6)
+    middle_hz = np.sum(f_hz[inside] * spectrum[inside]) / np.sum(spectrum[inside])
+    assert middle_hz == pytest.approx(1.7e6, abs=3.0e4)
+    assert not replace(front_end, intermediate_hz=3.7e6, is_complex=True).hears(BDS_B1I)
+
+
 def test_an_antenna_on_a_lever_hears_its_own_phase() -> None:
     """A metre to the right of a vehicle that heads for azimuth 0.7."""
     other = Stream("second", L1.front_end, antenna=1)
