@@ -8,15 +8,16 @@ PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3.14 python3 p
 	$$p -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
 	&& echo $$p && break; done)
 
-.PHONY: help demo test check lint types floors bench bench-peers docs clean
+.PHONY: help demo test check lint types floors bench bench-peers sim-peers docs clean
 
 help:
-	@echo "make demo   simulate a drive and process it: observations, positions, reports in demo/out"
+	@echo "make demo   simulate 90 s through a city and process them: results in demo/out"
 	@echo "make test   all tests but the slow ones"
 	@echo "make check  lint, format, types, import floors"
 	@echo "make bench  speed of the correlator and of a whole run"
 	@echo "make bench-peers   GNSS-SDR (where installed) and deepgnss on one recording"
-	@echo "make docs   docs/config.md from the schema"
+	@echo "make sim-peers     RTKLIB and GNSS-SDR (where installed) on what the simulator makes"
+	@echo "make docs   docs/config.md and docs/scenario.md from their schemas"
 
 $(STAMP): pyproject.toml
 	@test -n "$(PYTHON)" || { echo "deepgnss needs Python 3.11 or newer with its venv module\
@@ -26,8 +27,8 @@ $(STAMP): pyproject.toml
 	@touch $@
 
 demo: $(STAMP)
-	$(BIN)/deepgnss simulate --preset demo --output demo
-	$(BIN)/deepgnss process demo/rec.bin --config demo/config.yaml
+	$(BIN)/deepgnss simulate urban_short --output demo
+	$(BIN)/deepgnss process demo/rec_L1.bin --config demo/config.yaml
 
 # Kernels run as plain Python, then with every index checked (a cache of their own: numba does not
 # tell such code from the usual one), then everything as it is used.
@@ -58,11 +59,17 @@ bench-peers: PEERS ?= $(PLACE)/rec.bin --config $(PLACE)/config.yaml --ranges $(
 	--set output.interval=0.1
 bench-peers: $(STAMP)
 	test -n "$(filter-out $(PLACE)/%,$(firstword $(PEERS)))" || test -f $(PLACE)/rec.bin \
-		|| $(BIN)/deepgnss simulate --preset demo --seconds 60 --output $(PLACE)
+		|| $(BIN)/deepgnss simulate open_sky --seconds 60 --output $(PLACE) \
+			--set "satellites={systems: [GPS], mask: 10, limit: 9}" \
+			--set "streams=[{format: bits2, sample_rate: 4e6}]"
 	$(BIN)/python benchmarks/side_by_side.py $(PEERS)
+
+sim-peers: $(STAMP)
+	$(BIN)/python benchmarks/simulator_peers.py
 
 docs: $(STAMP)
 	$(BIN)/deepgnss config --reference > docs/config.md
+	$(BIN)/deepgnss simulate --reference > docs/scenario.md
 
 clean:
 	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -69,6 +69,8 @@ def _default(field: FieldInfo) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, tuple):
+        if isinstance(value[0], BaseModel):
+            return ""  # the keys of the section tell
         return f"[{', '.join(str(part) for part in value)}]"
     return f"{value:.10g}" if isinstance(value, float) else str(value)
 

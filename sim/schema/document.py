@@ -46,7 +46,7 @@ class ScenarioConfig(Section):
 
     name: Annotated[str, Field(min_length=1, max_length=64)] = "custom"
     """Name in reports."""
-    seed: Annotated[int, Quantity(0, 2**63 - 1, "", whole=True)] = 1
+    seed: Annotated[int, Quantity(0, 1_000_000_000, "", whole=True)] = 1
     """Of everything random; each random part draws from a stream of its own."""
     start: UtcTime = Field("2023-11-30T10:10:38Z", validate_default=True)
     """UTC that the receiver's clock reads at sample 0."""
@@ -73,7 +73,7 @@ class ScenarioConfig(Section):
     noise: Switch = True
     """Thermal noise; without it the samples are the signals alone."""
     container: Switch = False
-    """Samples, IMU and truth in one HDF5 file (rec.h5) instead of files of samples."""
+    """Samples in one HDF5 file (rec.h5), and with `imu.format: hdf5` the inertial log in it."""
     imu: ImuLogConfig | None = None
     """Log of an inertial unit; omitted: none."""
     odometer: OdometerLogConfig | None = None
