@@ -45,21 +45,19 @@ class Trees:
     seed: int
     index: tuple[int, ...]  # tells their fading from that of other trees
 
-    def attenuation_db(self, rays: Rays, satellite: str) -> FloatArray:
-        """Loss (n,) along rays to a satellite; 0 where they miss the crowns."""
+    def amplitude(self, rays: Rays, satellite: str) -> FloatArray:
+        """Amplitude factor (n,) along rays to a satellite; 1 where they miss the crowns."""
         way_m = np.zeros(len(rays.start_m))
         _way_inside(rays, self.crowns, way_m)
-        loss_db = np.zeros(way_m.size)
-        inside = np.flatnonzero(way_m > 0.0)
+        left = np.ones(way_m.size)
+        inside = np.flatnonzero(way_m)
         if inside.size:
-            spacing_m = self.coherence_m / _SPACINGS_PER_COHERENCE
-            field = gaussian_field(
-                rays.start_m[inside, :2] / spacing_m,
-                _key(self.seed, (*self.index, *map(ord, satellite))),
-            )
+            points = rays.start_m[inside, :2] * (_SPACINGS_PER_COHERENCE / self.coherence_m)
+            field = gaussian_field(points, _key(self.seed, (*self.index, *map(ord, satellite))))
             through = np.minimum(way_m[inside] / _FULL_M, 1.0)
-            loss_db[inside] = through * (self.mean_db + self.sigma_db * field)
-        return loss_db
+            loss_db = through * (self.mean_db + self.sigma_db * field)
+            left[inside] = 10.0 ** (-loss_db / 20.0)
+        return left
 
 
 def crowns(solids: Panels) -> Crowns:

@@ -82,7 +82,7 @@ class Scene:
         state = np.where(clear[cause], STATES.index("attenuated"), STATES.index("diffracted"))
         most = left.copy()
         for number, row in enumerate(self.trees, len(self.bodies)):
-            through = _factor(row.attenuation_db(sight, view.satellite))
+            through = row.amplitude(sight, view.satellite)
             cause = np.where(through < most, number, cause)
             state = np.where(through < most, STATES.index("attenuated"), state)
             most = np.minimum(most, through)
@@ -99,7 +99,7 @@ class Scene:
         """Amplitude (n,) left by all pieces but `skip`, and by the trees."""
         left, _ = shade(self.screens, rays, wavelength_m, self.bending, skip)
         for row in self.trees:
-            left *= _factor(row.attenuation_db(rays, satellite))
+            left *= row.amplitude(rays, satellite)
         return left
 
     def _reflection(
@@ -154,7 +154,3 @@ def directions(azimuth_rad: FloatArray, elevation_rad: FloatArray) -> FloatArray
 def _lines_of_sight(view: View) -> Rays:
     along = directions(view.azimuth_rad, view.elevation_rad)
     return Rays(np.ascontiguousarray(view.r_n_m), along, np.full(view.t_s.size, np.inf))
-
-
-def _factor(loss_db: FloatArray) -> FloatArray:
-    return np.asarray(10.0 ** (-loss_db / 20.0))

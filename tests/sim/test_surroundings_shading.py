@@ -242,6 +242,33 @@ def test_no_jump_anywhere_under_a_bridge() -> None:
         assert seen.min() < 0.3
 
 
+def test_bent_shadows_stay_near_the_sharp_ones() -> None:
+    """Free where everything within the bend's width is free, dark where all of it is dark."""
+    obstacles: list[dict[str, object]] = [
+        {"footbridge": {"at": 400, "span": 24}},
+        {"viaduct": {"from": 430, "to": 470, "offset": 9, "pillars": {"spacing": 15}}},
+        {"canyon": {"from": 480, "to": 530, "right": None, "left": {"gaps": [[500, 508]]}}},
+    ]
+    bent, sharp = surrounded(*obstacles), surrounded(*obstacles, SHARP)
+    random = np.random.default_rng(11)
+    count, around = 3000, 48
+    azimuth, elevation, north = (
+        random.uniform(low, high, count)[:, None] for low, high in ((0, 360), (12, 78), (385, 535))
+    )
+    # Bodies are 4 m away and more: within v = ±1 of a ray lies less than 9°.
+    turn = np.linspace(0.0, 6.0 * np.pi, around)
+    size = 9.0 * np.linspace(0.0, 1.0, around)
+    azimuth = azimuth + size * np.sin(turn) / np.cos(np.radians(elevation))
+    elevation = elevation + size * np.cos(turn)
+    cone = direct(sharp, view(azimuth, elevation, north_m=north)).reshape(count, around)
+    middle = direct(bent, view(azimuth[:, 0], elevation[:, 0], north_m=north[:, 0]))
+    clear, dark = (cone == 1.0).all(axis=1), (cone == 0.0).all(axis=1)
+    assert clear.sum() > 500
+    assert dark.sum() > 200
+    assert middle[clear].min() > 0.9
+    assert middle[dark].max() < 0.5
+
+
 def test_no_seam_shows_between_the_panels_of_a_bent_wall() -> None:
     """Along a bend the shadow of a wall without ends has no holes."""
     road = lay_road(
