@@ -178,9 +178,7 @@ class Alignment:
         length_s = float(rest.dt_s.sum())
         f_b = rest.dv_b_mps.sum(axis=0) / length_s
         omega_b = rest.dtheta_b_rad.sum(axis=0) / length_s
-        white = self._grade.gyro_noise_rad_rts / np.sqrt(length_s)
-        drift = self._grade.gyro_drift_radps2_rthz * np.sqrt(length_s)
-        gyro_sigma = float(np.hypot(white, drift))
+        gyro_sigma = self._rest_sigma_radps(rest, length_s)
         tilt2 = (self._grade.accel_noise_mps_rts / np.sqrt(length_s) / 9.8) ** 2 + 1e-8
 
         def level(yaw_rad: float) -> FloatArray:
@@ -197,7 +195,7 @@ class Alignment:
             yield _Found(still[-1], q_nb, variance, bias, gyro_sigma, True)
             return
         q_level = level(0.0)
-        for k in self._within(until_s):
+        for k in self._within(until_s + 0.1):
             if time_s[k] > until_s + settings.move_off_s:
                 yield f"no course within {settings.move_off_s:g} s after rest"
                 return
@@ -273,6 +271,15 @@ class Alignment:
     def _fall(self, k: int) -> FloatArray:
         lat_rad, _, height_m = geodetic(self._fixes[k].r_e_m)
         return free_fall_mps2(lat_rad, height_m, self._track.v_n_mps[k])
+
+    def _rest_sigma_radps(self, rest: ImuBlock, length_s: float) -> float:
+        """1σ of the mean rate over a rest: of the grade, or of the spread found if that is more."""
+        white = self._grade.gyro_noise_rad_rts / np.sqrt(length_s)
+        drift = self._grade.gyro_drift_radps2_rthz * np.sqrt(length_s)
+        parts = np.array_split(rest.dtheta_b_rad / rest.dt_s[:, np.newaxis], max(2, int(length_s)))
+        means = np.array([part.mean(axis=0) for part in parts])
+        spread = means.std(axis=0, ddof=1).max() / np.sqrt(len(parts))
+        return float(max(np.hypot(white, drift), spread))
 
     def _earth_rate_b(self, time_s: float, q_nb: FloatArray) -> FloatArray:
         k = min(int(np.searchsorted(self._track.time_s, time_s)), len(self._fixes) - 1)
@@ -360,8 +367,8 @@ def _rests(
     stood = np.concatenate([[False], standing(block, limits), [False]])
     edges = np.flatnonzero(np.diff(stood.astype(np.int8)))
     for first, end in zip(edges[::2], edges[1::2], strict=True):
-        # The last window may hold the first of moving off.
-        until_s = float(block.time_s[end - 1]) - 0.2 * limits.window_s
+        # A window stays quiet while the vehicle creeps off.
+        until_s = float(block.time_s[end - 1]) - limits.window_s
         since_s = max(from_s, float(block.time_s[first]) - limits.window_s)
         if until_s - since_s >= shortest_s:
             yield since_s, until_s

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from driving import drive as simulated_drive
 from exact_motion import ExactMotion, drive, line
 from scipy.special import j1
 
@@ -337,3 +338,20 @@ def test_errors_are_subtracted_as_the_model_says() -> None:
     freed = without_errors(Increment(0.5, (1.06, 0.1, 0.15), (1.6, 1.0, 1.5)), errors)
     np.testing.assert_allclose(freed.dtheta_b_rad, (1.0, 0.0, 0.0), atol=1e-15)
     np.testing.assert_allclose(freed.dv_b_mps, (1.0, 0.0, 0.0), atol=1e-15)
+
+
+# --- against the simulator ------------------------------------------------------------------------
+
+
+def test_a_simulated_minute_by_car() -> None:
+    """Its increments come from ECEF and quadrature, ours go through NED: nothing shared."""
+    car = simulated_drive(60.0)
+    start, end = car.state(0.0), car.state(60.0)
+    poses = _run(start, car.block)
+    north_m = earth.meridian_radius_m(end.lat_rad) + end.height_m
+    east_m = (earth.transverse_radius_m(end.lat_rad) + end.height_m) * np.cos(end.lat_rad)
+    assert abs(poses.lat_rad[-1] - end.lat_rad) * north_m < 1e-4
+    assert abs(poses.lon_rad[-1] - end.lon_rad) * east_m < 1e-4
+    assert abs(poses.height_m[-1] - end.height_m) < 1e-4
+    np.testing.assert_allclose(poses.v_n_mps[-1], end.v_n_mps, atol=1e-6)
+    assert np.abs(attitude.attitude_error_n(poses.q_nb[-1], end.q_nb)).max() < 1e-9
