@@ -42,6 +42,7 @@ _COMMANDS = {
     "info": "Look at a recording: level, spectrum, satellites, what may be wrong.",
     "snapshot": "Position from milliseconds of recording and a NAV file.",
     "simulate": "Make a recording with known truth.",
+    "reproduce": "Measure the published figures again.",
     "config": "Check, show or explain a configuration.",
 }
 

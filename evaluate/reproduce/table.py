@@ -1,0 +1,40 @@
+"""What a row of the table of figures is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Figure(NamedTuple):
+    """One number measured here, and whether it reaches its target."""
+
+    what: str  # which of the row's figures, e.g. "GPS"
+    ours: str  # with its unit and the trials it comes from
+    met: bool | None  # None: shown for comparison, not judged
+
+
+Measure = Callable[[bool, Sequence[int]], list[Figure]]
+"""(quick, seeds) → figures; `quick` is a version that a test run can afford."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A published figure, the one to reach, and how to measure it."""
+
+    id: str
+    scenario: str
+    published: str
+    target: str
+    measure: Measure | None = None  # None: not yet
+
+
+def verdict(figures: Sequence[Figure]) -> bool:
+    """Whether every figure that is judged reaches its target."""
+    return all(figure.met is not False for figure in figures)
+
+
+def percent(hits: int, trials: int) -> str:
+    """A share with its trials: "99.53 % of 3000"."""
+    return f"{100.0 * hits / trials:.2f} % of {trials}"
