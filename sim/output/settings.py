@@ -28,6 +28,7 @@ def stream_format(stream: Stream) -> StreamFormat:
         sample_rate_hz=front_end.sample_rate_hz,
         centre_hz=front_end.centre_hz,
         intermediate_hz=front_end.intermediate_hz,
+        spectrum="inverted" if front_end.inverted else "upright",
     )
 
 
@@ -63,4 +64,5 @@ def _stream(simulation: Simulation, stream: Stream) -> dict[str, Any]:
         "sample_rate": form.sample_rate_hz,
         "centre_frequency": form.centre_hz,
         "intermediate_frequency": form.intermediate_hz,
+        **({"spectrum": form.spectrum} if form.spectrum != "upright" else {}),
     }

@@ -7,7 +7,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from deepgnss.io.config.quantity import Quantity, Section, misfit
-from deepgnss.io.formats import VALUE_BITS, SampleKind, ValueFormat
+from deepgnss.io.formats import VALUE_BITS, SampleKind, Spectrum, ValueFormat
 from deepgnss.sim.scenario import FrontEnd
 
 Name = Annotated[str, Field(min_length=1, max_length=32, pattern=r"^[\w.+-]+$")]
@@ -41,6 +41,8 @@ class SampleStreamConfig(Section):
     """RF frequency that lies at `intermediate_frequency`, Hz."""
     intermediate_frequency: Annotated[float, Quantity(-5e8, 5e8, "Hz")] = 0.0
     """Where the centre frequency lies in the samples, Hz; for real samples inside (0, rate/2)."""
+    spectrum: Spectrum = "upright"
+    """Inverted: RF frequencies above the centre lie below the intermediate frequency."""
     bandwidth: Annotated[float, Quantity(0.0, 1e9, "Hz", above=True)] | None = None
     """Of the front end's filter, two-sided about the intermediate frequency, Hz; omitted: none,
     white noise over the whole sampled band."""
@@ -87,6 +89,7 @@ class SampleStreamConfig(Section):
             intermediate_hz=self.intermediate_frequency,
             bandwidth_hz=self.bandwidth,
             filter_taps=self.filter_taps,
+            inverted=self.spectrum == "inverted",
         )
 
 

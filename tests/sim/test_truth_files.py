@@ -12,16 +12,23 @@ import pytest
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne, geodetic
 from deepgnss.core.records import BDS_B1I, GPS_L1CA
+from deepgnss.core.time import GpsTime
 from deepgnss.evaluate.observations import read_observations, read_ranges
 from deepgnss.evaluate.rtklib import FIXED, installed, kinematic
+from deepgnss.io.config import load_config
+from deepgnss.io.imu import ImuLog
 from deepgnss.io.rinex_nav import read_nav, write_nav
 from deepgnss.io.rinex_obs_reader import read_obs
 from deepgnss.io.truth import read_truth
+from deepgnss.sim.output import write_simulation
 from deepgnss.sim.output.clock import write_clock
+from deepgnss.sim.output.inertial import write_imu
+from deepgnss.sim.output.navbits import write_navbits
 from deepgnss.sim.output.stations import base_station, perfect_rover, write_observations
 from deepgnss.sim.output.truth import write_ranges, write_truth
 from deepgnss.sim.schema import Simulation, build, load_scenario
 
+BOTH_BANDS = "[{sample_rate: 4e6}, {name: B1, sample_rate: 4e6, centre_frequency: 1561.098e6}]"
 WAVELENGTH_M = {
     "G": SPEED_OF_LIGHT_MPS / GPS_L1CA.carrier_hz,
     "C": SPEED_OF_LIGHT_MPS / BDS_B1I.carrier_hz,
@@ -169,11 +176,7 @@ def test_rtklib_fixes_rover_against_base(tmp_path: Path, systems: str) -> None:
     """Over 99 % fixed, centimetres from the truth, within a kilometre of the base."""
     if installed() is None:
         pytest.skip("rnx2rtkp is not installed")
-    settings = [f"satellites.systems={systems}", "seconds=90", "surroundings=[]", "streams=[]"]
-    settings[-1] = (
-        "streams=[{sample_rate: 4e6}, {name: B1, sample_rate: 4e6, centre_frequency: 1561.098e6}]"
-    )
-    settings.append("base={offset: [500, 800, -3], interval: 1}")
+    settings = [f"satellites.systems={systems}", "seconds=90", "surroundings=[]"]
     simulation = made(tmp_path, "urban_short", *settings)
     found = kinematic(*(tmp_path / name for name in ("rover.obs", "base.obs", "nav.rnx")))
     assert len(found) >= 90
@@ -186,3 +189,86 @@ def test_rtklib_fixes_rover_against_base(tmp_path: Path, systems: str) -> None:
     error_m = found[["x_e_m", "y_e_m", "z_e_m"]].to_numpy() - true_e_m
     assert np.sqrt((error_m**2).mean(axis=0)).max() < 0.01
     assert np.linalg.norm(error_m, axis=1)[fixed].max() < 0.05
+
+
+def test_navigation_bits_are_the_frames_sent(tmp_path: Path) -> None:
+    """Preambles where each system's subframes begin: 0x8B every 6 s, 0x712 every 6 or 0.6 s."""
+    settings = ("seconds=30", "satellites.systems=[GPS, BDS]", "streams=" + BOTH_BANDS)
+    write_navbits(tmp_path / "navbits.csv", build(load_scenario("static", settings)).scenario)
+    frame = pd.read_csv(tmp_path / "navbits.csv")
+    assert {"G", "C"} == set(frame["satellite"].str[0])
+    for satellite, rows in frame.groupby("satellite"):
+        geostationary = satellite in ("C01", "C02", "C03", "C04", "C05")
+        every_s, shift_s = (0.6 if geostationary else 6.0), (0.0 if satellite[0] == "G" else 14.0)
+        starts_s = (rows["gps_tow_s"] - shift_s) / every_s
+        assert (starts_s - starts_s.round()).abs().max() < 1e-6
+        assert np.diff(starts_s) == pytest.approx(1.0)
+        assert rows["gps_tow_s"].min() < 382_256.0 < 382_286.0 < rows["gps_tow_s"].max() + every_s
+        for text in rows["bits_hex"]:
+            bits = f"{int(text, 16):0300b}"
+            assert len(text) == 75
+            if satellite[0] == "G":
+                assert bits.startswith("10001011")
+            else:
+                assert bits.startswith("11100010010")
+
+
+@pytest.mark.parametrize(
+    ("keys", "container"),
+    [
+        ("format: csv", False),
+        ("format: csv, kind: rates, axes: RFU", False),
+        ("format: kfgins", False),
+        ("format: novatel_rawimu, model: FSAS", False),
+        ("format: hdf5", False),
+        ("format: hdf5", True),
+    ],
+)
+def test_inertial_log_reads_back_by_the_config(tmp_path: Path, keys: str, container: bool) -> None:
+    """The error-free unit at rest reads the earth's rate and gravity, whatever its format."""
+    settings = (
+        *("seconds=0.5", "streams=[{sample_rate: 2.6e6, format: bits1}]"),
+        f"imu={{rate: 100, grade: null, {keys}}}",
+        f"container={str(container).lower()}",
+    )
+    written = write_simulation(build(load_scenario("static", settings)), tmp_path)
+    config = load_config(written.config)
+    assert config.imu is not None
+    start = GpsTime(2290, 382_256.0)
+    blocks = list(ImuLog(config.imu, recording=written.recording, near=start))
+    dtheta, dv, dt_s = (
+        np.concatenate([getattr(block, name) for block in blocks])
+        for name in ("dtheta_b_rad", "dv_b_mps", "dt_s")
+    )
+    first, last = blocks[0], blocks[-1]
+    assert first.origin.plus(float(first.time_s[0])).since(start) == pytest.approx(-0.99, abs=1e-6)
+    assert last.origin.plus(float(last.time_s[-1])).since(start) == pytest.approx(1.5, abs=1e-6)
+    count = 0.0 if "novatel" not in keys else 1.0  # of the log's steps: 0.1 arc-s·2⁻⁸, 0.05/2¹⁵
+    rate_radps = dtheta.sum(axis=0) / dt_s.sum()
+    latitude = math.radians(52.264)
+    earth = 7.2921151467e-5 * np.array([math.cos(latitude), 0.0, -math.sin(latitude)])
+    assert rate_radps == pytest.approx(earth, abs=1e-9 + count * 1e-9)
+    force = dv.sum(axis=0) / dt_s.sum()
+    assert force == pytest.approx([0.0, 0.0, -9.8125], abs=2e-3)
+
+
+def test_inertial_truth_holds_the_errors_of_the_log(tmp_path: Path) -> None:
+    """Log minus an error-free one of the same motion = scale·true + bias·dt + noise."""
+    for grade in ("null", "automotive"):
+        settings = ("seconds=20", f"imu={{rate: 100, grade: {grade}}}", "seed=3")
+        (tmp_path / grade).mkdir()
+        write_imu(tmp_path / grade, build(load_scenario("blockage_20s", settings)))
+    true, read = (pd.read_csv(tmp_path / grade / "imu.csv") for grade in ("null", "automotive"))
+    errors = pd.read_csv(tmp_path / "automotive" / "imu_truth.csv")
+    assert (errors["gps_tow_s"] - read["gps_tow_s"]).abs().max() < 1e-6
+    for axis in "xyz":
+        for column, kind, unit in (
+            (f"dtheta_{axis}_rad", "gyro", "radps"),
+            (f"dvel_{axis}_mps", "accel", "mps2"),
+        ):
+            bias = errors[f"{kind}_bias_{axis}_{unit}"]
+            expected = errors[f"{kind}_scale_{axis}"] * true[column] + bias * 0.01
+            noise = read[column] - true[column] - expected
+            assert bias.abs().min() > 0.0
+            assert abs(noise.mean()) < 5.0 * noise.std() / math.sqrt(len(noise))
+            assert noise.std() < 0.2 * (bias.abs().mean() + 1e-2)
