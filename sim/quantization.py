@@ -37,9 +37,8 @@ def quantization_loss_db(front_end: FrontEnd, signal: SignalId = GPS_L1CA) -> fl
         h = taps.astype(np.float64) / np.linalg.norm(taps)
         lags = np.correlate(h, h, "full")
         rho[np.arange(1 - h.size, h.size)] = lags
-    inner = np.abs(rho) < 1.0
-    out = sum(c2 * rho**k for k, c2 in enumerate(series) if c2) * inner
-    out[~inner] = power
+    out = np.polynomial.polynomial.polyval(rho, series)
+    out[0] = power
     density, before = (np.fft.fft(r).real for r in (out, rho))
     weight = _code_spectrum(front_end, signal)
     return 10.0 * math.log10(float(weight @ density) / float(series[1] * (weight @ before)))

@@ -111,8 +111,8 @@ def _measured(front_end: FrontEnd, seconds: float) -> tuple[float, float]:
 def _check(front_end: FrontEnd, seconds: float, limit_db: float) -> None:
     before_dbhz, behind_dbhz = _measured(front_end, seconds)
     loss_db = quantization_loss_db(front_end)
-    # other codes on this one: 2/3 of its power per chip rate
-    own_db = 10.0 * np.log10(1.0 + 10.0 ** (CN0_DBHZ / 10.0) * 2.0 / 3.0 / 1.023e6)
+    # random codes on this one, chip on chip: its power over the chip rate
+    own_db = 10.0 * np.log10(1.0 + 10.0 ** (CN0_DBHZ / 10.0) / 1.023e6)
     assert before_dbhz - behind_dbhz == pytest.approx(loss_db, abs=limit_db)
     if front_end.bandwidth_hz is None:
         assert behind_dbhz + loss_db + own_db == pytest.approx(CN0_DBHZ, abs=limit_db)
