@@ -6,6 +6,7 @@ z = predicted − measured, so that z = H·x + noise, as T(2.73), T(2.74).
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -39,16 +40,17 @@ def correct(
     if not (np.all(np.isfinite(innovation)) and np.all(np.isfinite(S))):
         raise NumericalError("innovation or its covariance is not finite")
     try:
-        factor = cho_factor(S, lower=True)
+        factor = cho_factor(S, lower=True, check_finite=False)
     except LinAlgError as error:
         raise NumericalError(f"innovation covariance is not positive: {error}") from error
-    nis = float(innovation @ cho_solve(factor, innovation))
-    K = cho_solve(factor, PHt.T).T
+    nis = float(innovation @ cho_solve(factor, innovation, check_finite=False))
+    K = cho_solve(factor, PHt.T, check_finite=False).T
     remaining = np.eye(x.size) - K @ H
     after = remaining @ P @ remaining.T + K @ R @ K.T
     return Correction(x + K @ innovation, 0.5 * (after + after.T), innovation, nis)
 
 
+@lru_cache(maxsize=64)
 def innovation_limit(degrees: int, false_alarm: float) -> float:
     """NIS that a sound measurement of so many components exceeds with the given probability."""
     return float(chi2.isf(false_alarm, degrees))

@@ -1,4 +1,4 @@
-"""Loose coupling over whole files: increments, fixes, wheel speeds and what a vehicle cannot do.
+"""Coupling over whole files: increments, fixes or ranges, wheel speeds, what a car cannot do.
 
 Between instants the navigator carries the estimate; at each instant the fixes, speeds and
 constraints that belong to it correct it. Increments are cut at the instants, so that a fix between
@@ -18,13 +18,14 @@ from deepgnss.core.errors import NumericalError
 from deepgnss.core.records import FloatArray, ImuBlock
 from deepgnss.core.time import GpsTime
 from deepgnss.ins import measurements as models
+from deepgnss.ins import ranging
 from deepgnss.ins.error_model import VELOCITY, ProcessNoise
 from deepgnss.ins.error_state import Estimate
 from deepgnss.ins.fixes import GnssFix, WheelSpeeds
 from deepgnss.ins.increments import SAME_INSTANT_S, rows
 from deepgnss.ins.measurements import Measurement
 from deepgnss.ins.navigator import InsNavigator
-from deepgnss.ins.ranging import ClockNoise, extra_transition
+from deepgnss.ins.ranging import ClockNoise, RangeEpoch, extra_transition
 from deepgnss.ins.standstill import StandstillLimits, standing
 from deepgnss.ins.trajectory import Trajectory
 from deepgnss.ins.updates import Innovation, updated
@@ -34,6 +35,9 @@ Aligner = Callable[[float], Estimate | str]
 
 SAME_EPOCH_S = 1e-6
 """What lies closer is corrected together: float64 seconds of a week resolve 1e-10 s."""
+
+PLACING = ("position", "pseudorange")
+"""Kinds that say where the vehicle is: refused again and again, the filter is lost."""
 
 FASTEST_STANDSTILL_MPS = 1.0
 """Speed beyond its own 3σ above which the filter does not believe that it stands."""
@@ -60,7 +64,7 @@ class Settings:
     standing_sigma_radps: float = 0.001  # on top of the gyros' white noise
     epoch_s: float = 0.5  # of constraints, and longest time between stored epochs
     false_alarm: float = 1e-3  # of every innovation test
-    restart_after: int = 10  # position fixes refused in a row
+    restart_after: int = 10  # epochs in a row whose positions (ranges: most of them) are refused
     clock: ClockNoise = field(default_factory=ClockNoise)
     keep_trajectories: bool = False  # at IMU rate: some 0.2 kB per increment
 
@@ -104,6 +108,7 @@ class Integration:
 class _Instant(NamedTuple):
     time_s: float
     fix: GnssFix | None = None
+    ranges: RangeEpoch | None = None
     speed_mps: float | None = None
     constrained: bool = False
 
@@ -115,14 +120,18 @@ def integrate(
     noise: ProcessNoise,
     settings: Settings,
     wheels: WheelSpeeds | None = None,
+    ranges: Sequence[RangeEpoch] = (),
 ) -> Integration:
     """Run the filter from the first alignment to the end of the increments.
 
-    It starts anew, and says so, after a gap too long to bridge, after `restart_after` position
-    fixes refused in a row, and after a numerical failure.
+    Loose coupling takes fixes, tight coupling ranges (with a layout that has the clock); nothing
+    speaks against both, of different instants.
+
+    It starts anew, and says so, after a gap too long to bridge, after `restart_after` epochs of
+    refused positions in a row, and after a numerical failure.
     """
     run = _Run(block, noise, settings)
-    instants = _instants(block, fixes, wheels, settings.epoch_s)
+    instants = _instants(block, fixes, ranges, wheels, settings.epoch_s)
     times_s = np.array([instant.time_s for instant in instants])
     from_s, reason = float(block.time_s[0] - block.dt_s[0]) if block.time_s.size else 0.0, ""
     while True:
@@ -195,7 +204,7 @@ class _Run:
                 self.note(
                     instant.time_s,
                     "stopped",
-                    f"{self._refused} position fixes in a row failed the innovation test",
+                    f"positions of {self._refused} epochs in a row failed the innovation test",
                 )
                 return instant.time_s
         return None
@@ -236,9 +245,9 @@ class _Run:
             FilterEpoch(after.estimate, after.x, after.x_turning_mps, estimate.P, self._Phi, True)
         )
         self.innovations.extend(after.innovations)
-        for innovation in after.innovations:
-            if innovation.kind == "position":
-                self._refused = 0 if innovation.accepted else self._refused + 1
+        believed = [i.accepted for i in after.innovations if i.kind in PLACING]
+        if believed:
+            self._refused = 0 if 2 * sum(believed) >= len(believed) else self._refused + 1
         self._navigator = replace(self._navigator, estimate=after.estimate)
         self._Phi = np.eye(estimate.layout.size)
 
@@ -249,9 +258,11 @@ class _Run:
             return []
         omega_ib_b = trajectory.omega_ib_b_radps[-1]
         found: list[Measurement] = []
+        antenna = models.body_point(ins, omega_ib_b, settings.lever_b_m, layout)
+        if instant.ranges is not None:
+            found += ranging.ranges(estimate, antenna, instant.ranges.observations)
         if instant.fix is not None:
             fix = instant.fix
-            antenna = models.body_point(ins, omega_ib_b, settings.lever_b_m, layout)
             found.append(models.position(ins, antenna, fix.r_e_m, fix.covariance_n_m2))
             if fix.v_n_mps is not None and fix.velocity_covariance_n_m2ps2 is not None:
                 found.append(models.velocity(antenna, fix.v_n_mps, fix.velocity_covariance_n_m2ps2))
@@ -296,10 +307,15 @@ class _Run:
 
 
 def _instants(
-    block: ImuBlock, fixes: Sequence[GnssFix], wheels: WheelSpeeds | None, epoch_s: float
+    block: ImuBlock,
+    fixes: Sequence[GnssFix],
+    ranges: Sequence[RangeEpoch],
+    wheels: WheelSpeeds | None,
+    epoch_s: float,
 ) -> list[_Instant]:
     """Instants of fixes, wheel speeds and the constraints' own grid, in order of time."""
     found = [_Instant(fix.time.since(block.origin), fix=fix) for fix in fixes]
+    found += [_Instant(epoch.time.since(block.origin), ranges=epoch) for epoch in ranges]
     if wheels is not None:
         shift_s = wheels.origin.since(block.origin)
         found += [
@@ -317,6 +333,7 @@ def _instants(
             merged[-1] = _Instant(
                 before.time_s,
                 before.fix or instant.fix,
+                before.ranges or instant.ranges,
                 before.speed_mps if instant.speed_mps is None else instant.speed_mps,
                 before.constrained or instant.constrained,
             )

@@ -8,12 +8,14 @@ alone. SPEC signs: a range rate is positive when the range grows, minus waveleng
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from deepgnss.core.frames import C_ne
 from deepgnss.core.records import FloatArray
+from deepgnss.core.time import GpsTime
 from deepgnss.ins.error_state import Estimate, Layout
 from deepgnss.ins.measurements import Measurement, Point
 
@@ -30,6 +32,25 @@ class RangeObservation:
     pseudorange_sigma_m: float
     range_rate_mps: float | None = None
     range_rate_sigma_mps: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RangeEpoch:
+    """All satellites of one instant, however few."""
+
+    time: GpsTime
+    observations: tuple[RangeObservation, ...]
+
+
+def ranges(
+    estimate: Estimate, antenna: Point, observations: Sequence[RangeObservation]
+) -> list[Measurement]:
+    """Measurements of an instant: every pseudorange, then every range rate there is."""
+    found = [pseudorange(estimate, antenna, observed) for observed in observations]
+    for observed in observations:
+        if observed.range_rate_mps is not None:
+            found.append(range_rate(estimate, antenna, observed, observed.range_rate_mps))
+    return found
 
 
 def pseudorange(estimate: Estimate, antenna: Point, observed: RangeObservation) -> Measurement:
