@@ -42,7 +42,7 @@ def diagnose(path: Path, form: StreamFormat, signal: Signal, skip_s: float) -> t
         if looks.values.size == 1:
             return looks.findings
         seen = survey(read, signal, first)
-        if seen.found or seen.explained:
+        if convincing(seen.found) or (seen.explained and seen.findings):
             return seen.findings
     for other in _other_formats(form):
         if _shows_satellites(path, other, signal, skip_s):

@@ -17,7 +17,6 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from deepgnss.core.records import FloatArray, SampleBlock, StreamInfo
-from deepgnss.io.config.notes import PROCESSED_SIGNALS
 from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings, cold_search
 from deepgnss.receiver.baseband import running_sums
 from deepgnss.receiver.signals import SIGNALS, Signal
@@ -65,10 +64,9 @@ def signals_within(stream: StreamInfo) -> list[Signal]:
     half_hz = stream.sample_rate_hz / 2.0
     return [
         signal
-        for name, forms in SIGNALS.items()
+        for forms in SIGNALS.values()
         for signal in forms
-        if name in PROCESSED_SIGNALS
-        and abs(stream.intermediate_hz + signal.id.carrier_hz - stream.centre_hz) <= half_hz
+        if abs(stream.intermediate_hz + signal.id.carrier_hz - stream.centre_hz) <= half_hz
     ]
 
 

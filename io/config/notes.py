@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from deepgnss.io.config.schema import Config
 
-PROCESSED_SIGNALS = frozenset({"GPS_L1CA", "BDS_B1I"})
-"""Signals this version tracks."""
-
 
 def notes(config: Config) -> tuple[str, ...]:
     """Lines to print before a run: the parts of the configuration that will have no effect."""
     lines = []
     asked = "signals" in config.model_fields_set
     for signal in config.signals:
-        if signal not in PROCESSED_SIGNALS and (asked or config.covers(signal)):
-            lines.append(f"signals: {signal} is not processed by this version")
-        elif config.recording.streams and not config.covers(signal) and asked:
+        if config.recording.streams and not config.covers(signal) and asked:
             lines.append(f"signals: {signal} lies outside of every stream")
     if config.imu is not None and config.deep.enabled:
         lines.append("imu: aiding is not in this version; the run is unaided")

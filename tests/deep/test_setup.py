@@ -48,7 +48,7 @@ def test_the_stream_that_holds_the_signal_is_taken(stream: StreamInfo, covered: 
     if covered:
         assert plan_run(_config(), (stream,)).stream is stream
     else:
-        with pytest.raises(ConfigError, match="signals: of GPS_L1CA, none"):
+        with pytest.raises(ConfigError, match="signals: none of GPS_L1CA"):
             plan_run(_config(), (stream,))
 
 
