@@ -177,7 +177,7 @@ def early_minus_late_hz(sums: ComplexArray, interval_s: float, step_bins: float 
         return 0.0
     d = math.pi * step_bins
     slope = 2.0 * math.pi * (1.0 - math.cos(2.0 * d) - d * math.sin(2.0 * d)) / d**3
-    return (early - late) / (slope * prompt * sums.size * interval_s)
+    return float((early - late) / (slope * prompt * sums.size * interval_s))
 
 
 def refinement_hz(sums: ComplexArray, interval_s: float) -> float:
@@ -189,7 +189,7 @@ def refinement_hz(sums: ComplexArray, interval_s: float) -> float:
     total = late + prompt + early
     if total == 0.0:
         return 0.0
-    return REFINEMENT_STEP_BINS * (early - late) / (total * sums.size * interval_s)
+    return float(REFINEMENT_STEP_BINS * (early - late) / (total * sums.size * interval_s))
 
 
 def two_stage_hz(sums: ComplexArray, interval_s: float, step_bins: float = 0.5) -> float:
