@@ -40,7 +40,7 @@ PLACING = ("position", "pseudorange")
 """Kinds that say where the vehicle is: refused again and again, the filter is lost."""
 
 FASTEST_STANDSTILL_MPS = 1.0
-"""Speed beyond its own 3σ above which the filter does not believe that it stands."""
+"""Speed above which the filter does not believe that it stands, unless that is within its 2σ."""
 
 
 class Vehicle(NamedTuple):
@@ -302,7 +302,7 @@ class _Run:
         if not ((instant.constrained and quiet) or instant.speed_mps == 0.0):
             return False
         sigma2 = np.trace(estimate.P[VELOCITY, VELOCITY])
-        limit_mps = FASTEST_STANDSTILL_MPS + 3.0 * np.sqrt(sigma2)
+        limit_mps = max(FASTEST_STANDSTILL_MPS, 2.0 * np.sqrt(sigma2))
         return bool(np.linalg.norm(estimate.ins.v_n_mps) < limit_mps)
 
 

@@ -12,8 +12,8 @@ from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade
 class StandstillLimits(NamedTuple):
     """A window counts as standing when every axis stays below these, as 1σ about its mean.
 
-    A steady turn at steady speed is as quiet as rest: a filter believes the detector only while
-    its own speed is small.
+    Steady speed, a steady turn, steady braking are as quiet as rest where the road does not shake:
+    a filter believes the detector only while its own speed is small.
     """
 
     window_s: float
