@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-from driving import MTI_G
 from exact_motion import ORIGIN, Curve, ExactMotion, line, wave
 from scipy.stats import chi2
 
 from deepgnss.core import attitude, earth
 from deepgnss.core.frames import C_ne, ecef
 from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade
-from deepgnss.core.time import GpsTime
 from deepgnss.ins.alignment import Alignment, AlignmentSettings
 from deepgnss.ins.error_model import ACCEL_BIAS, ATTITUDE, GYRO_BIAS, WITH_BIASES
 from deepgnss.ins.error_state import Estimate, difference
@@ -364,37 +361,3 @@ def test_without_fixes_there_is_no_start() -> None:
     found = Alignment(block, [], GRADE, MOTION, LIMITS)(0.0)
     assert isinstance(found, str)
     assert "0 GNSS fixes" in found
-
-
-# --- a drive made by others -----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("method", ["static", "motion"])
-def test_independent_drive_is_aligned_within_its_own_sigma(shared_data: Path, method: str) -> None:
-    """At the start, and in motion again and again: tilt and yaw below 3.5σ of what is claimed."""
-    folder = shared_data / "independent" / "drive"
-    origin = GpsTime(2190, 561_628.0)
-    imu = np.loadtxt(folder / "imu.csv", delimiter=",", skiprows=1)
-    truth = np.loadtxt(folder / "truth.csv", delimiter=",", skiprows=1)
-    time_s, truth_s = imu[:, 1] - origin.tow_s, truth[:, 1] - origin.tow_s
-    block = ImuBlock(origin, time_s, np.full(time_s.size, 0.005), imu[:, 2:5], imu[:, 5:8])
-    rng = np.random.default_rng(1)
-    fixes = []
-    places = np.column_stack([np.radians(truth[:, 2:4]), truth[:, 4]])
-    antenna_e = np.array([ecef(*place) for place in places])
-    v_e = np.gradient(antenna_e, truth_s, axis=0)
-    for k in range(0, truth_s.size, 25):
-        v_n = C_ne(*places[k, :2]) @ v_e[k] + 0.05 * rng.normal(size=3)
-        r_e = antenna_e[k] + rng.normal(size=3)
-        at = origin.plus(float(truth_s[k]))
-        fixes.append(GnssFix(at, r_e, np.eye(3), v_n, 0.05**2 * np.eye(3)))
-    settings = AlignmentSettings("static" if method == "static" else "motion", LEVER_B_M)
-    find = Alignment(block, fixes, MTI_G, settings)
-    for from_s in (float(time_s[0]) - 0.005, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0):
-        found = find(from_s)
-        assert isinstance(found, Estimate), found
-        k = int(np.argmin(np.abs(truth_s - found.ins.time.since(origin))))
-        q_nb = attitude.quaternion_from_euler(np.radians(truth[k, 11:14]))
-        phi = attitude.attitude_error_n(found.ins.q_nb, q_nb)
-        assert np.all(np.abs(phi) < 3.5 * np.sqrt(np.diagonal(found.P))[6:9])
-        assert np.abs(phi).max() < 0.15
