@@ -109,6 +109,18 @@ def recording(scenario: Scenario, stream: int = 0, threads: int = 1) -> Iterator
     return (piece.data for piece in pieces(scenario, threads, [stream]))
 
 
+def notes(scenario: Scenario) -> tuple[str, ...]:
+    """What a user should know of streams that can be made but are not what they seem."""
+    return tuple(
+        f"{stream.name}: {stream.front_end.sample_rate_hz / 1e6:g} Msps keep step with the chips"
+        f" of {signal.name}: code delays come in steps of {grid_m:.1f} m"
+        for stream in scenario.streams
+        for signal in dict.fromkeys(e.signal.id for e in scenario.emitters)
+        if stream.front_end.hears(signal)
+        and (grid_m := stream.front_end.grid_m(signal)) is not None
+    )
+
+
 def input_sigma(scenario: Scenario, front_end: FrontEnd) -> float:
     """Standard deviation of one component at the converter: what an ideal AGC settles to.
 

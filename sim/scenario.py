@@ -7,8 +7,9 @@ sample_s minus the clock error, in seconds of GPST from `Scenario.start`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.errors import ConfigError
 from deepgnss.core.records import Ephemeris, FloatArray, NavData, Oscillator, SignalId
 from deepgnss.core.time import GpsTime
@@ -16,6 +17,8 @@ from deepgnss.io.formats import VALUE_BITS, ValueFormat
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL, Signal
 from deepgnss.sim.motion.vehicle import Vehicle
 from deepgnss.sim.orbits import nearest_set
+
+_DRIFT_HZ: Final = 100.0  # slips of a sample per second that smooth a code over
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +79,18 @@ class FrontEnd:
         low_hz, high_hz = (middle_hz + side * signal.chip_rate_hz for side in (-0.5, 0.5))
         half_hz = self.sample_rate_hz / 2.0
         return low_hz >= (-half_hz if self.is_complex else 0.0) and high_hz <= half_hz
+
+    def grid_m(self, signal: SignalId) -> float | None:
+        """Spacing of code delays that samples can tell apart, m, where it is coarse.
+
+        Chip edges are not smoothed before sampling: they keep their places among the samples where
+        a few chips last whole samples. None: they drift through within 10 ms.
+        """
+        for repeat in (1, 2, 3, 4):
+            samples = repeat * self.sample_rate_hz / signal.chip_rate_hz
+            if abs(samples - round(samples)) * signal.chip_rate_hz < repeat * _DRIFT_HZ:
+                return SPEED_OF_LIGHT_MPS / (self.sample_rate_hz * repeat)
+        return None
 
     @property
     def bytes_per_second(self) -> float:

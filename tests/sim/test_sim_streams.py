@@ -16,7 +16,7 @@ from deepgnss.receiver.signals import signal_of
 from deepgnss.sim import generator
 from deepgnss.sim.constellation import nominal
 from deepgnss.sim.delays import hermite_cubics, node_source, receive
-from deepgnss.sim.generator import pieces, recording, sample_source
+from deepgnss.sim.generator import notes, pieces, recording, sample_source
 from deepgnss.sim.motion.attitude import Steady
 from deepgnss.sim.motion.paths import Line, Path, Static
 from deepgnss.sim.motion.profile import acceleration_profile
@@ -315,3 +315,17 @@ def test_streams_that_cannot_be_are_refused() -> None:
     assert slow.front_end.hears(GPS_L1CA)
     assert not FrontEnd(1.0e6).hears(GPS_L1CA)
     assert sample_source(replace(_scenario((slow,))), 0)(0, 8).shape == (2, 8)
+
+
+def test_rates_in_step_with_the_chips_are_told() -> None:
+    """Four or four and a half samples per chip hide delays below their spacing; 4 Msps do not."""
+    for rate_hz, grid_m in ((4.092e6, 73.3), (4.6035e6, 32.6), (4.0e6, None), (16.0e6, None)):
+        front_end = FrontEnd(rate_hz, "float32")
+        assert front_end.grid_m(GPS_L1CA) == (grid_m and pytest.approx(grid_m, abs=0.05))
+        scenario = _scenario((Stream("L1", front_end),))
+        assert len(notes(scenario)) == (grid_m is not None)
+    in_step = Truth(
+        scenario := _scenario((Stream("L1", FrontEnd(4.092e6, "float32")),)), scenario.emitters[0]
+    )
+    place = np.mod(in_step.code_starts(0, 20), 1.0)
+    assert np.ptp(place) < 0.02  # edges keep their place: 3 Hz of code Doppler
