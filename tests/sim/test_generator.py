@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.signal
+from demodulation import Truth, as_complex, demodulate, phase_cycles
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import GPS_L1CA, ComplexArray, FloatArray, Oscillator
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver.lnav import find_frames
-from deepgnss.receiver.signals import ca_code
 from deepgnss.sim.constellation import nominal_gps
 from deepgnss.sim.delays import receive
 from deepgnss.sim.generator import recording, sample_source
@@ -64,74 +63,6 @@ def _scenario(
     )
 
 
-class _Truth:
-    """Phases at sample numbers, by the defining formulas, for clocks without noise."""
-
-    def __init__(self, scenario: Scenario, emitter: Emitter) -> None:
-        self.scenario, self.emitter = scenario, emitter
-        self.orbit = orbit_of(scenario.orbit_set(emitter.satellite), scenario.start)
-
-    def at(self, samples: Samples) -> tuple[FloatArray, FloatArray]:
-        """Carrier in cycles, without ambiguity, and satellite time in s since START's second."""
-        front_end, clock = self.scenario.streams[0].front_end, self.scenario.clock
-        reading_s = samples / front_end.sample_rate_hz
-        error_s = clock.offset_s + clock.drift_sps * reading_s
-        truth = receive(self.scenario, self.emitter, self.orbit, reading_s - error_s)
-        residual_hz = CARRIER_HZ - front_end.centre_hz + front_end.intermediate_hz
-        cycles = residual_hz * reading_s - truth.carrier_cycles - CARRIER_HZ * error_s
-        sent_s = START.tow_s % 1.0 + reading_s - error_s
-        return cycles, sent_s - truth.pseudorange_m / SPEED_OF_LIGHT_MPS
-
-    def between(self, first: int, count: int) -> tuple[FloatArray, FloatArray]:
-        """The same at samples [first, first + count): a spline through points 0.1 ms apart."""
-        step = self.scenario.streams[0].front_end.sample_rate_hz * 1.0e-4
-        knots = first + np.arange(-2, np.ceil(count / step) + 3) * step
-        samples = np.arange(first, first + count)
-        cycles, sent_s = (CubicSpline(knots, values)(samples) for values in self.at(knots))
-        return cycles, sent_s
-
-    def local(self, first: int, count: int) -> ComplexArray:
-        """Code × conjugate carrier at samples [first, first + count)."""
-        cycles, sent_s = self.between(first, count)
-        return _code_at(self.emitter.prn, sent_s) * np.exp(-2j * np.pi * np.mod(cycles, 1.0))
-
-    def code_starts(self, first: int, count: int, every_s: float = 1.0e-3) -> FloatArray:
-        """Instants, in samples, at which satellite time is a multiple of `every_s`."""
-        rate_hz = self.scenario.streams[0].front_end.sample_rate_hz
-        instants = first + np.arange(count) * every_s * rate_hz
-        wanted = np.ceil(self.at(instants[:1])[1][0] / every_s) * every_s
-        for _ in range(3):
-            late_s = self.at(instants)[1] - wanted - np.arange(count) * every_s
-            instants = instants - late_s * rate_hz
-        return instants
-
-
-def _code_at(prn: int, sent_s: FloatArray, shift_chips: float = 0.0) -> NDArray[np.int8]:
-    chips = np.floor(sent_s * GPS_L1CA.chip_rate_hz + shift_chips).astype(np.int64)
-    return ca_code(prn)[chips % 1023]
-
-
-def _as_complex(samples: NDArray[np.float32]) -> ComplexArray:
-    values = samples.astype(np.float64)
-    return values[0] + 1j * values[1] if values.shape[0] == 2 else values[0] + 0j
-
-
-def _demodulate(scenario: Scenario, emitter: Emitter, firsts: Samples, count: int) -> ComplexArray:
-    """Mean of samples × conj(true signal) over `count` samples from each of `firsts`."""
-    source, truth = sample_source(scenario), _Truth(scenario, emitter)
-    return np.array(
-        [
-            np.mean(_as_complex(source(int(first), count)) * truth.local(int(first), count))
-            for first in firsts
-        ]
-    )
-
-
-def _phase_cycles(sums: NDArray[np.complex128]) -> FloatArray:
-    """Phase in (−¼, ¼], data bits removed."""
-    return np.angle(sums**2) / (4.0 * np.pi)
-
-
 # 100 g either way and 30 m/s² per millisecond of jerk on the line of sight's own scale.
 HARD = Sine((0.3, -0.2, -0.933), amplitude_m=981.0 / (2.0 * np.pi * 1.6) ** 2, frequency_hz=1.6)
 STEP = Line((0.6, 0.0, -0.8), smooth_profile([(0.5, 0.0), (1.5, 600.0)]))
@@ -141,8 +72,8 @@ STEP = Line((0.6, 0.0, -0.8), smooth_profile([(0.5, 0.0), (1.5, 600.0)]))
 def test_carrier_follows_the_true_phase(path: Path) -> None:
     scenario = _scenario(path)
     firsts = np.arange(1, 2000, 37) * 5003  # through three seconds, on no grid of ours
-    sums = _demodulate(scenario, scenario.emitters[0], firsts, 400)
-    assert np.abs(_phase_cycles(sums)).max() < 1.0e-4
+    sums = demodulate(scenario, scenario.emitters[0], firsts, 400)
+    assert np.abs(phase_cycles(sums)).max() < 1.0e-4
     assert np.abs(sums).min() > 0.999 * np.abs(sums).max()
 
 
@@ -160,19 +91,19 @@ def test_any_rate_and_intermediate_frequency(front_end: FrontEnd) -> None:
     scenario = _scenario(front_end=front_end)
     samples = round(front_end.sample_rate_hz * 1.0e-3)
     firsts = np.array([0, 12_345, 1_234_567])
-    sums = _demodulate(scenario, scenario.emitters[0], firsts, samples)
-    assert np.abs(_phase_cycles(sums)).max() < 1.0e-3
+    sums = demodulate(scenario, scenario.emitters[0], firsts, samples)
+    assert np.abs(phase_cycles(sums)).max() < 1.0e-3
 
 
 def test_code_lies_where_the_truth_says() -> None:
     scenario = _scenario(HARD)
     emitter = scenario.emitters[0]
-    source, truth = sample_source(scenario), _Truth(scenario, emitter)
+    source, truth = sample_source(scenario), Truth(scenario, emitter)
     for first in (777, 4_000_001):
         cycles, sent_s = truth.between(first, 40_000)
-        wiped = _as_complex(source(first, 40_000)) * np.exp(-2j * np.pi * np.mod(cycles, 1.0))
+        wiped = as_complex(source(first, 40_000)) * np.exp(-2j * np.pi * np.mod(cycles, 1.0))
         early, late = (
-            np.abs(np.mean(wiped * _code_at(emitter.prn, sent_s, shift))) for shift in (0.25, -0.25)
+            np.abs(np.mean(wiped * truth.code_at(sent_s, shift))) for shift in (0.25, -0.25)
         )
         # slopes of the correlation peak: (early − late)/(early + late) = error/(1 − ¼)
         assert abs((early - late) / (early + late) * 0.75) < 0.002
@@ -188,8 +119,9 @@ def test_doppler_is_positive_while_the_range_shrinks() -> None:
         ),
     )
     for scenario, sign in ((away, -1.0), (closing, 1.0)):
-        _, sent_s = _Truth(scenario, emitter).between(0, 4000)
-        wiped = _as_complex(sample_source(scenario)(0, 4000)) * _code_at(emitter.prn, sent_s)
+        truth = Truth(scenario, emitter)
+        _, sent_s = truth.between(0, 4000)
+        wiped = as_complex(sample_source(scenario)(0, 4000)) * truth.code_at(sent_s)
         turn = np.angle(np.sum(wiped[8:] * np.conj(wiped[:-8]))) / (2.0 * np.pi * 8 / RATE_HZ)
         assert sign * turn > 10_000.0  # 3 km/s straight down or up at the highest satellite
 
@@ -228,7 +160,7 @@ def test_carrier_to_noise_is_what_was_set(front_end: FrontEnd, loss_db: float) -
     0.3634, 0.1175, 0.03454, 0.01154 for 1 to 4 bits. 0.4 s at 50 dB-Hz give 0.03 dB.
     """
     scenario = _scenario(cn0_dbhz=50.0, front_end=front_end, noise=True, seconds=0.5)
-    truth = _Truth(scenario, scenario.emitters[0])
+    truth = Truth(scenario, scenario.emitters[0])
     count = round(front_end.sample_rate_hz * 1.0e-3)
     first = round(truth.code_starts(0, 1)[0])
     samples = _unpacked(b"".join(recording(scenario)), front_end)[first:][: 400 * count]
@@ -251,15 +183,15 @@ def _unpacked(data: bytes, front_end: FrontEnd) -> ComplexArray:
         kinds = {"int8": np.int8, "int16": "<i2", "float32": "<f4"}
         flat = np.frombuffer(data, kinds[front_end.format])
     rows = 2 if front_end.is_complex else 1
-    return _as_complex(flat.reshape(-1, rows).T.astype(np.float32))
+    return as_complex(flat.reshape(-1, rows).T.astype(np.float32))
 
 
 def test_steps_of_carrier_to_noise() -> None:
     scenario = _scenario()
     emitter = replace(scenario.emitters[0], cn0_dbhz=((0.0, 45.0), (0.5, 39.0), (1.0, 51.0)))
     scenario = replace(scenario, emitters=(emitter,))
-    starts = _Truth(scenario, emitter).code_starts(400_000, 1200)
-    sums = _demodulate(scenario, emitter, np.round(starts[[0, 398, 402, 1000]]), 3990)
+    starts = Truth(scenario, emitter).code_starts(400_000, 1200)
+    sums = demodulate(scenario, emitter, np.round(starts[[0, 398, 402, 1000]]), 3990)
     level_db = 20.0 * np.log10(np.abs(sums))
     assert level_db - level_db[0] == pytest.approx([0.0, 0.0, -6.0, 6.0], abs=0.02)
     assert [emitter.cn0_at(t) for t in (-1.0, 0.2, 0.5, 7.0)] == [45.0, 45.0, 39.0, 51.0]
@@ -306,7 +238,7 @@ def test_noise_is_white_and_normal() -> None:
 def test_filter_keeps_the_band_and_its_centre() -> None:
     front_end = FrontEnd(RATE_HZ, "float32", bandwidth_hz=2.0e6)
     scenario = replace(_scenario(front_end=front_end, noise=True), emitters=())
-    samples = _as_complex(sample_source(scenario)(0, 1 << 18))
+    samples = as_complex(sample_source(scenario)(0, 1 << 18))
     frequency_hz, density = scipy.signal.welch(samples, RATE_HZ, nperseg=256, detrend=False)
     density, frequency_hz = density * RATE_HZ / 2.0, np.abs(frequency_hz)  # unit noise: 1
     assert density[frequency_hz < 0.8e6] == pytest.approx(1.0, abs=0.2)
@@ -314,19 +246,19 @@ def test_filter_keeps_the_band_and_its_centre() -> None:
     assert density[frequency_hz > 1.3e6].max() < 1.0e-3
     # A symmetric filter shifts neither code nor carrier.
     signal = _scenario(front_end=front_end)
-    starts = _Truth(signal, signal.emitters[0]).code_starts(400_000, 5)
-    sums = _demodulate(signal, signal.emitters[0], np.round(starts), 4000)
-    assert np.abs(_phase_cycles(sums)).max() < 1.0e-3
+    starts = Truth(signal, signal.emitters[0]).code_starts(400_000, 5)
+    sums = demodulate(signal, signal.emitters[0], np.round(starts), 4000)
+    assert np.abs(phase_cycles(sums)).max() < 1.0e-3
 
 
 def test_navigation_bits_leave_at_their_time() -> None:
     """Bits by the sign of the demodulated signal, 20 ms from the true start of each."""
     scenario = _scenario(seconds=13.0)
-    emitter, truth = scenario.emitters[0], _Truth(scenario, scenario.emitters[0])
+    emitter, truth = scenario.emitters[0], Truth(scenario, scenario.emitters[0])
     starts = truth.code_starts(round(0.1 * RATE_HZ), 600, every_s=0.020)
     # the first and the last whole code period of each bit, to the sample
     first, last = (
-        _demodulate(scenario, emitter, np.ceil(starts + offset), 3990).real
+        demodulate(scenario, emitter, np.ceil(starts + offset), 3990).real
         for offset in (0, 0.019 * RATE_HZ)
     )
     assert np.abs(last / first - 1.0).max() < 0.01
