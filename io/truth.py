@@ -20,8 +20,9 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from deepgnss.core.constants import SECONDS_PER_WEEK
 from deepgnss.core.errors import InputFileError
 from deepgnss.core.records import FloatArray
-from deepgnss.core.time import GpsTime, leap_seconds_at
+from deepgnss.core.time import GpsTime
 from deepgnss.io.input import reading
+from deepgnss.io.rtklib_pos import read_pos
 
 TruthFormat = Literal["csv", "rtklib_pos", "kfgins_nav"]
 
@@ -106,7 +107,7 @@ def read_truth(
     InputFileError: the file cannot be read, or is not what the format says.
     """
     path = Path(path)
-    readers = {"csv": _read_csv, "rtklib_pos": _read_pos, "kfgins_nav": _read_nav}
+    readers = {"csv": _read_csv, "rtklib_pos": read_pos, "kfgins_nav": _read_nav}
     columns = readers[file_format](path)
     frame = columns.astype(np.float64)
     needed = ["week", "tow_s", "lat_deg", "lon_deg", "height_m"]
@@ -212,50 +213,6 @@ _OPTIONAL = (
     *("vn_mps", "ve_mps", "vd_mps", "roll_deg", "pitch_deg", "heading_deg"),
     *("imu_lat_deg", "imu_lon_deg", "imu_height_m"),
 )
-
-
-def _read_pos(path: Path) -> pd.DataFrame:
-    """RTKLIB solution (solution.c, outsolhead): times GPST or UTC, positions llh or ECEF."""
-    with reading(path):
-        lines = path.read_text(encoding="latin-1").splitlines()
-    header = next((line for line in lines if line.startswith("%") and "(m)" in line), "")
-    if not header:
-        raise InputFileError(f"{path}: not an RTKLIB .pos file (no column header)")
-    if "latitude(d'" in header:
-        raise InputFileError(f"{path}: positions in degrees, minutes, seconds: use -s ' ' degrees")
-    is_utc = header[1:].split()[0] == "UTC"
-    ecef = "x-ecef(m)" in header
-    rows = [line.replace(",", " ").split() for line in lines if line[:1] not in ("%", "")]
-    if any(len(row) < 5 for row in rows):
-        raise InputFileError(f"{path}: a row is not a solution: fewer than 5 columns")
-    with reading(path):
-        table = [[*_pos_time(row[0], row[1], is_utc), *map(float, row[2:])] for row in rows]
-    if not table or len({len(row) for row in table}) != 1:
-        raise InputFileError(f"{path}: no solutions, or rows of unequal length")
-    values = np.array(table)
-    frame = pd.DataFrame({"week": values[:, 0], "tow_s": values[:, 1]})
-    if ecef:
-        lat, lon, height = pymap3d.ecef2geodetic(values[:, 2], values[:, 3], values[:, 4])
-        place = np.column_stack((lat, lon, height))
-    else:
-        place = values[:, 2:5]
-    frame[["lat_deg", "lon_deg", "height_m"]] = place
-    if not ecef and "vn(m/s)" in header:
-        first = header[1:].split().index("vn(m/s)") - len(header[1:].split()) + values.shape[1]
-        north_east_up = values[:, first : first + 3]
-        frame[["vn_mps", "ve_mps", "vd_mps"]] = north_east_up * np.array([1.0, 1.0, -1.0])
-    return frame
-
-
-def _pos_time(first: str, second: str, is_utc: bool) -> tuple[float, float]:
-    if "/" not in first:
-        return float(first), float(second)
-    stamp = pd.Timestamp(f"{first.replace('/', '-')}T{second}")
-    elapsed = stamp - pd.Timestamp("1980-01-06")
-    leap_s = leap_seconds_at(stamp.tz_localize("UTC").to_pydatetime()) if is_utc else 0
-    weeks, rest = divmod(elapsed.value, SECONDS_PER_WEEK * 10**9)
-    time = GpsTime(weeks, rest * 1e-9).plus(leap_s)
-    return float(time.week), time.tow_s
 
 
 _NAV_NAMES = (

@@ -14,6 +14,7 @@ from deepgnss.io.config.aids import (
     OdometerConfig,
     TruthConfig,
 )
+from deepgnss.io.config.ins import InsConfig
 from deepgnss.io.config.quantity import AnyPath, ExistingFile, Quantity, Section, Switch, misfit
 from deepgnss.io.config.receiver import AcquisitionConfig, PositioningConfig, TrackingConfig
 from deepgnss.io.config.recording import RecordingConfig
@@ -73,6 +74,7 @@ class Config(Section):
     position: RoughPosition | None = None
     """Rough [latitude deg, longitude deg, height m]: assisted start."""
     imu: ImuConfig | None = None
+    ins: InsConfig = InsConfig()
     odometer: OdometerConfig | None = None
     truth: TruthConfig | None = None
     oscillator: NamedOscillator = Field(default="TCXO", validate_default=True)
