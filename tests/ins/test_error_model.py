@@ -32,7 +32,7 @@ from deepgnss.ins.error_model import (
 )
 from deepgnss.ins.error_state import corrected, difference
 from deepgnss.ins.filter import check_covariance
-from deepgnss.ins.mechanization import NOTHING_BEFORE, mechanize, pose_of, sensor_errors_of
+from deepgnss.ins.mechanization import NOTHING_BEFORE, calibration_of, mechanize, pose_of
 
 DEG = np.pi / 180.0
 MTI_G = ImuGrade(
@@ -76,7 +76,7 @@ def turning_flight(seconds: float, rate_hz: float = 200.0):
 
 
 def flown(start: InsState, readings) -> tuple[InsState, object]:
-    poses, end, _ = mechanize(pose_of(start), NOTHING_BEFORE, sensor_errors_of(start), *readings)
+    poses, end, _ = mechanize(pose_of(start), NOTHING_BEFORE, calibration_of(start), *readings)
     state = replace(
         start,
         lat_rad=end.lat_rad,
