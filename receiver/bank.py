@@ -25,6 +25,7 @@ from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock
 from deepgnss.receiver.feed import SumFeed
+from deepgnss.receiver.known_symbols import KnownSymbols
 from deepgnss.receiver.messages import Frame, Subframe
 from deepgnss.receiver.modes import Mode, TrackingSettings
 from deepgnss.receiver.observables import PhaseMemory, observe
@@ -59,7 +60,7 @@ class Bank:
         tracking: TrackingSettings,
         acquisition: AcquisitionSettings,
         searching: SearchSettings,
-        known: Mapping[str, framing.KnownSymbols],
+        known: Mapping[str, KnownSymbols],
     ) -> None:
         """`known`: symbols of satellites that an earlier pass has decoded."""
         self.signal = signal
@@ -112,6 +113,7 @@ class Bank:
             code_chips=seen.code_chips,
             doppler_hz=seen.doppler_hz,
         )
+        channel.known = self._known.get(channel.satellite)
         self.channels[seen.prn] = channel
         frames = self._frames.get(seen.prn)
         self._frames[seen.prn] = (

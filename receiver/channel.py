@@ -22,12 +22,22 @@ from deepgnss.core.records import (
     RunningSums,
 )
 from deepgnss.receiver.baseband import correlate
+from deepgnss.receiver.frequency_tracking import (
+    LockWatch,
+    always_squares,
+    spectral_lock,
+    window_of,
+)
+from deepgnss.receiver.known_symbols import KnownSymbols, signs
 from deepgnss.receiver.locks import (
+    FAINT_S,
     NO_LOCK,
+    USUAL_S,
     cn0_dbhz,
+    faint_cn0_dbhz,
+    false_lock_side,
     fast_cn0_dbhz,
     recent_cn0_dbhz,
-    residual_frequency_hz,
     restart_phase,
     update_locks,
 )
@@ -66,6 +76,10 @@ from deepgnss.receiver.trackers import (
 
 _REMEMBERED_S = 4.0  # prompts of a frequency-locked stretch kept for bit sync
 _HYSTERESIS_DB = 2.0  # below the threshold of phase lock before it is given up
+_DOUBTED_DB = 3.0  # below the threshold of frequency tracking: a window with nothing to follow
+_ABSENT_DB = 6.0  # below that threshold: nothing is there
+_FAINT_S = 2.5  # of frequency tracking before its C/N0 is believed
+_LOOP_PRODUCT = 0.4  # bandwidth × window: a wider code loop does not settle
 _HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
 
 
@@ -114,6 +128,7 @@ class Channel:
         self.anchor: int | None = None  # code period of the satellite's week at period 0
         self.edge: int | None = None  # period of a symbol edge, modulo the symbol's length
         self.half_cycle: float | None = None  # 0 or ½ cycle once the polarity is known
+        self.known: KnownSymbols | None = None  # symbols that need not be guessed
         self.slips = 0
         self.locks = NO_LOCK
         self._runs = code_runs(signal.id.name, prn)
@@ -126,8 +141,12 @@ class Channel:
         self._history = int(_HISTORY_UPDATES * signal.update_s * sample_rate_hz)
         self._coded = bool(signal.secondary_code)
         self._bit_sync: BitSync = start_bit_sync(signal.secondary, coded=self._coded)
-        self._prompts: list[ComplexArray] = []  # of frequency lock, on the carrier again
-        self._prompts_first = 0
+        self._heard: list[tuple[NcoCommand, ComplexArray]] = []  # without phase lock: prompts
+        self._heard_first = 0
+        faint = settings.frequency
+        self._window: list[ComplexArray] = []  # correlations of frequency tracking, no code on
+        self._window_updates = int(faint.window_s / signal.update_s + 1e-9)
+        self._watch = LockWatch(signal.symbol_s, self._window_updates * signal.update_s, faint.bins)
         self._bit_sync_first = 0
         self._pieces: list[ComplexArray] = []  # of a symbol the lock detectors wait for
         self._symbol_sum = 0j
@@ -141,6 +160,9 @@ class Channel:
             ),
             Mode.PHASE: PhaseLock(settings.carrier_order, settings.carrier_bandwidth_hz),
         }
+        self._spectral_tracker = spectral_lock(faint)
+        self._always_squares = always_squares(faint.discriminator)
+        self._off_hz = 0.0  # by which a watched frequency lock is off
         self._blind_tracker = FrequencyLock(settings.frequency_bandwidth_hz, squared=True)
         self._phase_since = sample
         self._phase_valid = False
@@ -243,7 +265,15 @@ class Channel:
         whole = int(end_s * self._rate)
         elapsed_s = whole / self._rate
         carrier = code = NO_CORRECTION
-        if self.mode is not Mode.HOLD and 4 * seen.periods.shape[0] >= self._full:
+        if self.mode is Mode.WEAK:
+            window = self._complete_window(seen)
+            if window is not None:
+                carrier = self._spectral_tracker.correct(window)
+                code = self._window_code_tracker.correct(
+                    self._spectral_tracker.straightened(window)
+                )
+                middle_s = end_s - 0.5 * window.seconds
+        elif self.mode is not Mode.HOLD and 4 * seen.periods.shape[0] >= self._full:
             carrier = self._carrier_tracker.correct(seen)
             code = self._code_tracker.correct(seen)
         self.history[-1] = self.history[-1]._replace(correction=carrier, middle_s=middle_s)
@@ -328,22 +358,64 @@ class Channel:
     def _seconds_since(self, sample: int) -> float:
         return (self.command.sample - sample) / self._rate
 
+    # --- frequency tracking --------------------------------------------------------------------
+
+    def _restart_window(self) -> None:
+        self._window = []
+        self._watch.clear()
+        self._off_hz = 0.0
+
+    def _complete_window(self, seen: Accumulated) -> Accumulated | None:
+        """Collect an update; the window it completes, None where that has no signal to follow."""
+        count, size = seen.periods.shape[0], self.signal.symbol_periods
+        if count % size:  # up to the first symbol edge
+            return None
+        chips = np.resize(self.signal.secondary, count)
+        self._window.append(self._taken * chips[:, np.newaxis])
+        if len(self._window) < self._window_updates:
+            return None
+        taps, self._window = np.concatenate(self._window), []
+        first = self.periods + count - taps.shape[0]
+        symbols = taps.reshape(-1, size, taps.shape[1])
+        sums = symbols.sum(axis=1)
+        power = float(np.vdot(sums[:, 1], sums[:, 1]).real) / sums.shape[0]
+        signal = (power / size - self.locks.noise) / size
+        lowest = 10.0 ** (0.1 * (self.settings.frequency_threshold_dbhz - _DOUBTED_DB))
+        if signal < lowest * seen.period_s * self.locks.noise:
+            return None
+        unaided_hz = self.command.carrier_hz - self._aiding.frequency_hz
+        self._off_hz = self._watch.off_hz(symbols[:, :, 1], unaided_hz)
+        return window_of(sums, self.signal.symbol_s, self._known_signs(first, sums.shape[0]))
+
+    def _known_signs(self, first: int, count: int) -> FloatArray | None:
+        """Signs of symbols from a period of this channel's count on, where they are known."""
+        if self.known is None or self.anchor is None or self._always_squares:
+            return None
+        return signs(self.known, self.anchor + first, count, self.signal.symbol_periods)
+
+    @property
+    def _window_code_tracker(self) -> DelayLock:
+        """The code loop on windows: one too wide for them does not settle."""
+        widest_hz = _LOOP_PRODUCT / (self._window_updates * self.signal.update_s)
+        return self._delay_lock(min(self._code_tracker.bandwidth_hz, widest_hz))
+
     # --- detect, collect, decide -------------------------------------------------------------
 
     def _detect(self, seen: Accumulated) -> None:
         symbol = self._whole_symbol(seen)
         if symbol is not None:
-            self.locks = update_locks(self.locks, symbol)
-        if self.mode is not Mode.FREQUENCY:
+            slow_s = FAINT_S if self.mode is Mode.WEAK else USUAL_S
+            self.locks = update_locks(self.locks, symbol, slow_s, self.signal.symbol_periods)
+        if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
             return
-        if not self._prompts:
-            self._prompts_first = self.periods - seen.periods.shape[0]
+        if not self._heard:
+            self._heard_first = self.periods - seen.periods.shape[0]
         prompts = self._taken[:, 1]
-        self._prompts.append(prompts * self._carrier_turns(prompts.size))
-        if len(self._prompts) * self.signal.update_s > _REMEMBERED_S:
-            self._prompts_first += self._prompts.pop(0).size
+        self._heard.append((self.history[-1].command, prompts))
+        if len(self._heard) * self.signal.update_s > _REMEMBERED_S:
+            self._heard_first += self._heard.pop(0)[1].size
         if self.edge is None:
-            first = self._prompts_first if self._bit_sync.symbols == 0 else self._bit_sync_first
+            first = self._heard_first if self._bit_sync.symbols == 0 else self._bit_sync_first
             self._bit_sync_first = first
             self._bit_sync = add_prompts(
                 self._bit_sync, prompts, self.locks.signal, self.locks.noise
@@ -355,9 +427,8 @@ class Channel:
                 symbols = self._bit_sync.symbols
                 self.set_edge(self._bit_sync_first + edge.period, f"{symbols} symbols")
 
-    def _carrier_turns(self, periods: int) -> ComplexArray:
-        """Carrier the generator ran in the middles of the periods of the interval just over."""
-        command = self.history[-1].command
+    def _carrier_turns(self, command: NcoCommand, periods: int) -> ComplexArray:
+        """Carrier the generator ran on a command in the middles of its code periods."""
         t = self.signal.period_s * (np.arange(periods) + 0.5) - command.code_chips / command.code_hz
         cycles = command.carrier_cycles + t * (command.carrier_hz + 0.5 * t * command.carrier_hzps)
         return np.asarray(np.exp(2j * np.pi * np.mod(cycles, 1.0)))
@@ -381,21 +452,23 @@ class Channel:
             self._plan()
 
     def _look_back(self, edge: int) -> None:
-        """Demodulate the symbols seen in frequency lock and hand the phase to the phase loop.
+        """Demodulate the symbols heard without phase lock and hand the phase to the phase loop.
 
         Called at a symbol edge, so the last symbol remembered ends at the command.
         """
         size = self.signal.symbol_periods
-        prompts = np.concatenate(self._prompts)
+        prompts: ComplexArray = np.concatenate(
+            [prompts * self._carrier_turns(at, prompts.size) for at, prompts in self._heard]
+        )
         # The generator followed the loop; seen from one frequency the carrier runs straight.
         back_s = self.signal.period_s * (np.arange(prompts.size) + 0.5 - prompts.size)
         prompts *= np.exp(-2j * np.pi * (self._carrier.frequency * back_s + self._carrier.phase))
-        skip = (edge - self._prompts_first) % size
+        skip = (edge - self._heard_first) % size
         seen = demodulate(
             prompts[skip:].reshape(-1, size) @ self.signal.secondary, self.signal.symbol_s
         )
         self.symbols = seen.symbols
-        self.symbols_first = self._prompts_first + skip
+        self.symbols_first = self._heard_first + skip
         self._carrier = self._carrier._replace(
             phase=self._carrier.phase + seen.phase_cycles + 0.5 * seen.step_cycles,
             frequency=self._carrier.frequency + seen.step_cycles / self.signal.symbol_s,
@@ -440,7 +513,9 @@ class Channel:
                     self._go(Mode.LOST, "frequency does not settle")
             case Mode.FREQUENCY:
                 if gone and here_s > 0.1:
-                    self._go(Mode.HOLD, f"C/N0 fell to {fast:.1f} dB-Hz")
+                    self._go(self._refuge(fast), f"C/N0 fell to {fast:.1f} dB-Hz")
+                elif here_s > 1.0 and self.edge is not None and cn0 < settings.phase_threshold_dbhz:
+                    self._go(Mode.WEAK, f"{cn0:.1f} dB-Hz, too weak for the phase")
                 elif (
                     self.edge is not None
                     and (self.periods - self.edge) % self.signal.symbol_periods == 0
@@ -451,27 +526,60 @@ class Channel:
                     self._go(Mode.PHASE, f"symbol edges known, {cn0:.1f} dB-Hz")
             case Mode.PHASE:
                 self._watch_phase(here_s, cn0, fast, gone)
+            case Mode.WEAK:
+                self._watch_frequency(here_s, cn0)
             case Mode.HOLD:
+                back = faint_cn0_dbhz(self.locks, seen.period_s)
                 if not gone and here_s > 0.1 and fast > settings.phase_threshold_dbhz:
                     self._go(Mode.FREQUENCY, f"signal back at {fast:.1f} dB-Hz")
+                elif (
+                    self.edge is not None
+                    and here_s > 0.5
+                    and back > settings.frequency_threshold_dbhz
+                ):
+                    self._go(Mode.WEAK, f"signal back at {back:.1f} dB-Hz")
                 elif here_s > settings.lost_after_s:
                     self._go(Mode.LOST, f"no signal for {here_s:.1f} s")
             case Mode.LOST:
                 pass
 
+    def _refuge(self, fast_dbhz: float) -> Mode:
+        """Where a channel goes whose signal fell below what phase or FLL need."""
+        bearable = fast_dbhz > self.settings.frequency_threshold_dbhz
+        return Mode.WEAK if bearable and self.edge is not None else Mode.HOLD
+
+    def _watch_frequency(self, here_s: float, cn0: float) -> None:
+        settings = self.settings
+        edge = self.edge or 0
+        lowest = settings.frequency_threshold_dbhz
+        recent = faint_cn0_dbhz(self.locks, self.signal.period_s)
+        if self._off_hz:
+            self._leave_false_lock(self._off_hz)
+        elif here_s > 0.6 and recent < lowest - _ABSENT_DB:
+            self._go(Mode.HOLD, f"C/N0 fell to {recent:.1f} dB-Hz")
+        elif here_s > _FAINT_S and cn0 < lowest:
+            self._go(Mode.HOLD, f"C/N0 {cn0:.1f} dB-Hz, too weak for the frequency")
+        elif (
+            here_s > 1.0
+            and cn0 > settings.phase_threshold_dbhz
+            and not self._window  # one just ended
+            and (self.periods - edge) % self.signal.symbol_periods == 0
+        ):
+            self._go(Mode.PHASE, f"strong enough for the phase, {cn0:.1f} dB-Hz")
+
     def _watch_phase(self, here_s: float, cn0: float, fast_dbhz: float, gone: bool) -> None:
         indicator = self.locks.phase
+        lowest = self.settings.phase_threshold_dbhz - _HYSTERESIS_DB
         if gone:
-            self._go(Mode.HOLD, f"C/N0 fell to {fast_dbhz:.1f} dB-Hz")
+            self._go(self._refuge(fast_dbhz), f"C/N0 fell to {fast_dbhz:.1f} dB-Hz")
+        elif here_s > 0.5 and cn0 < lowest:
+            self._go(Mode.WEAK, f"C/N0 {cn0:.1f} dB-Hz, too weak for the phase")
         elif here_s > 0.5 and indicator < 0.4:
             self._go(Mode.FREQUENCY, f"phase lock lost: mean cos 2φ {indicator:.2f}")
-        elif here_s > 0.5 and cn0 < self.settings.phase_threshold_dbhz - _HYSTERESIS_DB:
-            self._go(Mode.FREQUENCY, f"C/N0 {cn0:.1f} dB-Hz, too weak for the phase")
         elif here_s > 0.2 and indicator > 0.8:
-            off_hz = residual_frequency_hz(self.locks, self.signal.period_s)
-            step_hz = 0.5 / self.signal.symbol_s
-            if abs(off_hz) > 0.5 * step_hz:  # Costas loops also lock at multiples of 25 Hz
-                self._leave_false_lock(step_hz * round(off_hz / step_hz))
+            side = false_lock_side(self.locks)
+            if side:
+                self._leave_false_lock(side * 0.5 / self.signal.symbol_s)
             elif not self._phase_valid:
                 self._phase_valid = True
                 self._phase_since = self.command.sample
@@ -479,9 +587,12 @@ class Channel:
 
     def _leave_false_lock(self, off_hz: float) -> None:
         self._forget_phase()
-        self._carrier = self._carrier._replace(frequency=self._carrier.frequency + off_hz)
+        self._carrier = NcoState(
+            self._carrier.phase, self._carrier.frequency + off_hz, self._aiding.rate_hzps
+        )
         self.command = self._command(self.command.sample, self.command.code_chips)
         self.locks = restart_phase(self.locks)
+        self._restart_window()
         self._since = self.command.sample
         self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
 
@@ -492,7 +603,7 @@ class Channel:
         )
         self._carrier = self._carrier._replace(frequency=self._carrier.frequency + off_hz)
         self.command = self._command(self.command.sample, self.command.code_chips)
-        self._prompts = []
+        self._heard = []
         self._bit_sync = start_bit_sync(self.signal.secondary, coded=self._coded)
         self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
 
@@ -513,8 +624,10 @@ class Channel:
         else:  # only a phase loop keeps a frequency rate of its own
             self._carrier = self._carrier._replace(rate=self._aiding.rate_hzps)
         self.command = self._command(self.command.sample, self.command.code_chips)
+        if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
+            self._heard = []
+        self._restart_window()
         if mode is Mode.FREQUENCY:
-            self._prompts = []
             self._bit_sync = start_bit_sync(self.signal.secondary, coded=self._coded)
         if self.mode is Mode.HOLD:
             self._restart_code_loop(self.command.sample)
@@ -549,7 +662,7 @@ class Channel:
         self.events.append(Event(self.command.sample, self.satellite, what, reason))
 
     def _interval(self) -> Interval:
-        settled = self.mode in (Mode.FREQUENCY, Mode.PHASE)
+        settled = self.mode in (Mode.FREQUENCY, Mode.PHASE, Mode.WEAK)
         return Interval(
             self.command,
             self.periods,
@@ -569,13 +682,21 @@ class Channel:
         return self.history[0]
 
     @property
+    def _carrier_bandwidth_hz(self) -> float:
+        settings = self.settings
+        if self.mode is Mode.PHASE:
+            return settings.carrier_bandwidth_hz
+        if self.mode is Mode.WEAK:
+            return settings.frequency.bandwidth_hz
+        return settings.frequency_bandwidth_hz
+
+    @property
     def cn0_dbhz(self) -> float:
         """C/N0 of about the last second."""
         return cn0_dbhz(self.locks, self.signal.period_s)
 
     def report(self, stage: str) -> ChannelReport:
         """State now, for logs and screen."""
-        phase = self.mode is Mode.PHASE
         return ChannelReport(
             satellite=self.satellite,
             signal=self.signal.id.name,
@@ -591,8 +712,6 @@ class Channel:
             coherent_s=min(self._full, self.signal.symbol_periods) * self.signal.period_s
             if self.edge is not None
             else self.signal.period_s,
-            carrier_bandwidth_hz=self.settings.carrier_bandwidth_hz
-            if phase
-            else self.settings.frequency_bandwidth_hz,
+            carrier_bandwidth_hz=self._carrier_bandwidth_hz,
             code_bandwidth_hz=self._code_tracker.bandwidth_hz,
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from deepgnss.core.constants import SECONDS_PER_WEEK
 from deepgnss.core.records import Ephemeris, NavData
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver.channel import Channel
+from deepgnss.receiver.known_symbols import KnownSymbols
 from deepgnss.receiver.messages import Frame, News, Subframe
 from deepgnss.receiver.orbits import with_ephemeris
 
@@ -87,13 +88,6 @@ def read_symbols(state: FrameState, channel: Channel, near: GpsTime | None) -> F
         heads=state.heads + len(frames),
     )
     return Found(state, tuple(frames), tuple(news), tuple(subframes))
-
-
-class KnownSymbols(NamedTuple):
-    """Symbols decoded before, upright: what a satellite sent from a code period on."""
-
-    first: int  # code periods since the GPS epoch
-    symbols: bytes  # 0/1
 
 
 def known_symbols(channel: Channel) -> KnownSymbols | None:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import cmath
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from deepgnss.core.records import ComplexArray
+from deepgnss.core.records import ComplexArray, FloatArray
 from deepgnss.receiver.trackers import Accumulated
 
-_SLOW_S = 1.0  # averaging of the reported C/N0
+USUAL_S = 1.0  # averaging of the reported C/N0
+FAINT_S = 3.0  # the same in frequency tracking: 0.3 dB at 20 dB-Hz
 _FAST_S = 0.1  # averaging that notices a blockage
 _RECENT = 5  # intervals that notice the blockage of a strong signal
-_PHASE_S = 0.4  # averaging of the phase-lock indicator
+_FAINT = 30  # intervals that notice that a weak one went or came
+_PHASE_S = 0.4  # averaging of what tells phase lock from false lock
 
 
 class LockState(NamedTuple):
@@ -27,10 +29,10 @@ class LockState(NamedTuple):
     noise: float
     phase: float  # mean cos 2φ of a phase loop
     phase_seconds: float  # since its start
-    products: complex  # mean product of neighbouring prompts within symbols
+    shifted: tuple[float, float, float]  # mean power of symbols shifted down, as they are, up
 
 
-NO_LOCK = LockState(0.0, 0.0, 0.0, (), 0.0, 0.0, 0.0, 0j)
+NO_LOCK = LockState(0.0, 0.0, 0.0, (), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
 
 
 def restart_phase(state: LockState) -> LockState:
@@ -38,11 +40,30 @@ def restart_phase(state: LockState) -> LockState:
 
     The next symbol outweighs powers averaged before: across symbol edges those are too low.
     """
-    return state._replace(seconds=0.0, phase=0.0, phase_seconds=0.0, products=0j)
+    return state._replace(seconds=0.0, phase=0.0, phase_seconds=0.0, shifted=NO_LOCK.shifted)
 
 
-def update_locks(state: LockState, seen: Accumulated) -> LockState:
-    """Take one interval into the averages.
+@lru_cache(maxsize=8)
+def _half_shifts(periods: int) -> ComplexArray:
+    """Replicas (periods, 3) half a turn per symbol below, at and above zero."""
+    turns = 0.5 * np.arange(-1, 2) * np.arange(periods)[:, np.newaxis] / periods
+    return np.asarray(np.exp(-2j * np.pi * turns))
+
+
+def shifted_powers(symbols: ComplexArray) -> FloatArray:
+    """Powers (n, 3) of symbols (n, periods) as if the generator ran ½/symbol lower, as is, higher.
+
+    Costas loops and squares of symbol sums do not notice ½/symbol, 25 Hz (T 5.4.2): a sum keeps
+    0.4 of its power there. Shifted to the true frequency it gains the rest.
+    """
+    sums = symbols @ _half_shifts(symbols.shape[1])
+    return np.asarray(sums.real**2 + sums.imag**2)
+
+
+def update_locks(
+    state: LockState, seen: Accumulated, slow_s: float = USUAL_S, symbol_periods: int = 0
+) -> LockState:
+    """Take one interval, of one symbol or of several so long, into the averages.
 
     Inside a symbol the signal's power is that of the coherent sum less its noise, the noise that
     of the scatter about the mean; the ratio of narrow- to wide-band power, T(5.9–5.15), written
@@ -63,23 +84,27 @@ def update_locks(state: LockState, seen: Accumulated) -> LockState:
         signal = _blind_power(neighbours) if seen.blind else products.real
         noise = max(wide / count - max(signal, 0.0), 0.0)
     seconds = state.seconds + seen.seconds
-    slow = seen.seconds / min(seconds, _SLOW_S)
+    slow = seen.seconds / min(seconds, slow_s)
     fast = seen.seconds / min(seconds, _FAST_S)
-    phase, phase_seconds, rotation = state.phase, state.phase_seconds, state.products
+    phase, phase_seconds, shifted = state.phase, state.phase_seconds, state.shifted
     if seen.coherent and seen.prompt:
         phase_seconds += seen.seconds
         gain = seen.seconds / min(phase_seconds, _PHASE_S)
         phase += gain * ((seen.prompt * seen.prompt).real / abs(seen.prompt) ** 2 - phase)
-        rotation += slow * (products - rotation)
+        size = symbol_periods or count
+        if count % size == 0:  # before the first edge a part of a symbol
+            powers = shifted_powers(prompts.reshape(-1, size)).mean(axis=0)
+            down, same, up = ((1.0 - gain) * np.array(shifted) + gain * powers).tolist()
+            shifted = (down, same, up)
     return LockState(
         seconds,
         state.signal + slow * (signal - state.signal),
         state.fast_signal + fast * (signal - state.fast_signal),
-        (*state.recent, signal)[-_RECENT:],
+        (*state.recent, signal)[-_FAINT:],
         state.noise + slow * (noise - state.noise),
         phase,
         phase_seconds,
-        rotation,
+        shifted,
     )
 
 
@@ -95,12 +120,12 @@ def _cn0_dbhz(signal: float, noise: float, period_s: float) -> float:
 
 
 def cn0_dbhz(state: LockState, period_s: float) -> float:
-    """C/N0 averaged over about a second; 0 where no signal is seen."""
+    """C/N0 averaged over the slow time; 0 where no signal is seen."""
     return _cn0_dbhz(state.signal, state.noise, period_s)
 
 
 def fast_cn0_dbhz(state: LockState, period_s: float) -> float:
-    """C/N0 of the last tenth of a second against the noise of the last second."""
+    """C/N0 of the fast time against the noise of the slow one."""
     return _cn0_dbhz(state.fast_signal, state.noise, period_s)
 
 
@@ -112,9 +137,20 @@ def recent_cn0_dbhz(state: LockState, period_s: float) -> float:
     """
     if not state.recent:
         return 0.0
-    return _cn0_dbhz(sum(state.recent) / len(state.recent), state.noise, period_s)
+    recent = state.recent[-_RECENT:]
+    return _cn0_dbhz(sum(recent) / len(recent), state.noise, period_s)
 
 
-def residual_frequency_hz(state: LockState, period_s: float) -> float:
-    """Mean rotation of the prompt within symbols: a loop locked 25 Hz off shows here."""
-    return cmath.phase(state.products) / (2.0 * math.pi * period_s) if state.products else 0.0
+def faint_cn0_dbhz(state: LockState, period_s: float) -> float:
+    """C/N0 of the last 0.6 s or so alone: 0.9 dB at 20 dB-Hz, and next to nothing for nothing."""
+    return _cn0_dbhz(sum(state.recent) / _FAINT, state.noise, period_s)
+
+
+def false_lock_side(state: LockState) -> int:
+    """−1 or +1 when symbols are stronger ½/symbol lower or higher, else 0.
+
+    A loop locked that far off loses 0.6 of the power; half of that must be seen.
+    """
+    down, same, up = state.shifted
+    side = 1 if up > down else -1
+    return side if max(down, up) > 1.5 * same else 0

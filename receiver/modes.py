@@ -14,6 +14,7 @@ class Mode(Enum):
     PULL_IN = "pull-in"  # wide FLL and DLL on a fresh acquisition
     FREQUENCY = "FLL"  # frequency lock; phase is not kept
     PHASE = "PLL"  # phase lock on whole symbols
+    WEAK = "FFT"  # frequency tracked by the spectrum of a window of symbols
     HOLD = "hold"  # signal gone: generators coast
     LOST = "lost"
 
@@ -21,11 +22,24 @@ class Mode(Enum):
 # Every change of mode there is; the channel refuses any other.
 TRANSITIONS: dict[Mode, frozenset[Mode]] = {
     Mode.PULL_IN: frozenset({Mode.FREQUENCY, Mode.LOST}),
-    Mode.FREQUENCY: frozenset({Mode.PHASE, Mode.HOLD}),
-    Mode.PHASE: frozenset({Mode.FREQUENCY, Mode.HOLD}),
-    Mode.HOLD: frozenset({Mode.FREQUENCY, Mode.LOST}),
+    Mode.FREQUENCY: frozenset({Mode.PHASE, Mode.WEAK, Mode.HOLD}),
+    Mode.PHASE: frozenset({Mode.FREQUENCY, Mode.WEAK, Mode.HOLD}),
+    Mode.WEAK: frozenset({Mode.PHASE, Mode.HOLD}),
+    Mode.HOLD: frozenset({Mode.FREQUENCY, Mode.WEAK, Mode.LOST}),
     Mode.LOST: frozenset(),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class FrequencySettings:
+    """How a signal too weak for its phase is tracked, as the config's `tracking.frequency`."""
+
+    discriminator: str = "pfft"
+    bins: int = 3  # of pfft and psfft
+    window_s: float = 0.32
+    order: int = 2
+    bandwidth_hz: float = 0.4
+    phase: bool = False  # take the phase from the peak as well
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +59,7 @@ class TrackingSettings:
     pull_in_bandwidth_hz: float = 8.0
     pull_in_s: float = 0.12
     record_correlations: bool = False
+    frequency: FrequencySettings = FrequencySettings()
 
 
 def lowest_frequency_lock_dbhz(phase_threshold_dbhz: float) -> float:

@@ -34,6 +34,7 @@ from deepgnss.receiver.bank import Bank, Head
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock, from_ns
 from deepgnss.receiver.feed import SumFeed
+from deepgnss.receiver.known_symbols import KnownSymbols
 from deepgnss.receiver.messages import Frame, News, Subframe
 from deepgnss.receiver.modes import AidingSource, Mode, TrackingSettings, unaided
 from deepgnss.receiver.search import Place, SearchSettings
@@ -65,7 +66,7 @@ class Knowledge:
     near: GpsTime | None = None  # rough date, for the week number
     clock: ReceiverClock | None = None
     position_e_m: FloatArray | None = None
-    symbols: Mapping[str, framing.KnownSymbols] = field(default_factory=dict)
+    symbols: Mapping[str, KnownSymbols] = field(default_factory=dict)
 
 
 class Fix(NamedTuple):

@@ -15,6 +15,7 @@ from deepgnss.core.records import Ephemeris, NavData
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import framing, lnav
 from deepgnss.receiver.channel import Channel
+from deepgnss.receiver.known_symbols import KnownSymbols
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL, Signal
 from deepgnss.sim.constellation import nominal_gps
 
@@ -131,7 +132,7 @@ ANCHOR = 1_385_374_256_000
 @pytest.mark.parametrize("lead", [-60, 0, 35, 200])
 def test_polarity_from_known_symbols(turned: int, lead: int) -> None:
     """Stretches that begin before or after what is known; a wrong decision is borne."""
-    told = framing.KnownSymbols(ANCHOR + 100 * 20 + 7, bytes(SENT[100:].tolist()))
+    told = KnownSymbols(ANCHOR + 100 * 20 + 7, bytes(SENT[100:].tolist()))
     seen = (SENT[100 + max(lead, -100) : 100 + lead + 90] ^ turned).copy()
     seen[75] ^= 1
     channel = _Channel(bytearray(seen.tolist()), 7 + 20 * (100 + lead) - 5000, anchor=ANCHOR + 5000)
@@ -140,7 +141,7 @@ def test_polarity_from_known_symbols(turned: int, lead: int) -> None:
 
 
 def test_unlike_symbols_tell_nothing() -> None:
-    told = framing.KnownSymbols(ANCHOR, bytes(SENT.tolist()))
+    told = KnownSymbols(ANCHOR, bytes(SENT.tolist()))
     other = np.random.default_rng(8).integers(0, 2, 200).tolist()
     channel = _Channel(bytearray(other), 0, anchor=ANCHOR)
     assert framing.polarity(cast(Channel, channel), told) is None

@@ -10,9 +10,9 @@ from deepgnss.receiver.locks import (
     NO_LOCK,
     LockState,
     cn0_dbhz,
+    false_lock_side,
     fast_cn0_dbhz,
     recent_cn0_dbhz,
-    residual_frequency_hz,
     restart_phase,
     update_locks,
 )
@@ -92,12 +92,24 @@ def test_phase_indicator() -> None:
     assert restart_phase(locked).signal == locked.signal
 
 
-@pytest.mark.parametrize("off_hz", [25.0, -25.0, 50.0, 0.0])
-def test_false_frequency_shows_within_symbols(off_hz: float) -> None:
+@pytest.mark.parametrize(("dbhz", "symbols"), [(26.0, 25), (30.0, 10), (45.0, 10)])
+@pytest.mark.parametrize("off_hz", [25.0, -25.0, 0.0])
+def test_false_frequency_shows_within_symbols(off_hz: float, dbhz: float, symbols: int) -> None:
     """A Costas loop sees no difference between these."""
-    for dbhz in (30.0, 45.0):
-        seen = residual_frequency_hz(_intervals(dbhz, 50, off_hz=off_hz), PERIOD_S)
-        assert seen == pytest.approx(off_hz, abs=3.0)
+    seen = [false_lock_side(_intervals(dbhz, symbols, seed, off_hz=off_hz)) for seed in range(60)]
+    assert np.mean(np.array(seen) == np.sign(off_hz)) > 0.98
+    if off_hz == 0.0:
+        assert not any(seen)
+
+
+def test_short_symbols_shift_by_their_own_rate() -> None:
+    """Ten symbols of 2 ms in an interval: 250 Hz."""
+    t = PERIOD_S * np.arange(20)
+    signs = np.repeat(np.where(np.arange(10) % 3 == 0, -1.0, 1.0), 2)
+    turned = np.exp(2j * np.pi * 250.0 * t) * signs
+    assert false_lock_side(update_locks(NO_LOCK, _seen(turned), symbol_periods=2)) == 1
+    assert false_lock_side(update_locks(NO_LOCK, _seen(turned.conj()), symbol_periods=2)) == -1
+    assert false_lock_side(update_locks(NO_LOCK, _seen(signs + 0j), symbol_periods=2)) == 0
 
 
 def test_a_blockage_is_seen_in_a_tenth_of_a_second_and_its_end_too() -> None:
@@ -115,7 +127,7 @@ def test_a_blockage_is_seen_in_a_tenth_of_a_second_and_its_end_too() -> None:
 def test_nothing_seen_nothing_said() -> None:
     assert cn0_dbhz(NO_LOCK, PERIOD_S) == 0.0
     assert recent_cn0_dbhz(NO_LOCK, PERIOD_S) == 0.0
-    assert residual_frequency_hz(NO_LOCK, PERIOD_S) == 0.0
+    assert false_lock_side(NO_LOCK) == 0
     zeros = update_locks(NO_LOCK, _seen(np.zeros(20, dtype=np.complex128)))
     assert cn0_dbhz(zeros, PERIOD_S) == 0.0
     assert zeros.phase == 0.0

@@ -1,0 +1,174 @@
+"""Tracking a signal too weak for its phase: windows of symbols, their trackers, false lock.
+
+T 3.2, 5.4.2. A window is an `Accumulated` whose "periods" are symbol-long sums, so that the code
+loop works on it as on any other; it is coherent where its symbols were known and stripped.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from deepgnss.core.loops import loop_gains
+from deepgnss.core.records import ComplexArray, FloatArray
+from deepgnss.receiver.locks import shifted_powers
+from deepgnss.receiver.modes import FrequencySettings
+from deepgnss.receiver.spectral import (
+    Tone,
+    early_minus_late_hz,
+    fft_tone,
+    refinement_hz,
+    turned,
+    two_stage_hz,
+)
+from deepgnss.receiver.trackers import Accumulated, Correction, accumulate
+
+_WATCHED_S = 1.6  # of windows that a false lock is judged by
+_FAR_RATIO = 8.0  # a line that far above the middle ones, in the noise of a line
+_SHIFT_SIGMAS = 3.0  # by which a shifted sum must be stronger
+
+Discriminator = Callable[[ComplexArray, float], Tone]
+
+
+def _energy(frequency_hz: Callable[[ComplexArray, float], float]) -> Discriminator:
+    """An energy discriminator with the phase of its prompt line."""
+
+    def tone(sums: ComplexArray, interval_s: float) -> Tone:
+        return Tone(frequency_hz(sums, interval_s), float(np.angle(sums.sum())) / math.tau, 0)
+
+    return tone
+
+
+_DISCRIMINATORS: Mapping[str, Discriminator] = {
+    "fft": fft_tone,
+    "sfft": fft_tone,
+    "early_late": _energy(early_minus_late_hz),
+    "refinement": _energy(refinement_hz),
+    "two_stage": _energy(two_stage_hz),
+}
+
+
+def always_squares(discriminator: str) -> bool:
+    """Whether a discriminator by its name does without known symbols."""
+    return discriminator in ("sfft", "psfft")
+
+
+@dataclass(frozen=True, slots=True)
+class SpectralLock:
+    """Frequency lock on the tone in a window of symbol sums; squares where they have symbols.
+
+    Order 1 with a bandwidth of ½/window puts what it sees straight into the generator, T 3.2.1.
+    """
+
+    discriminate: Discriminator
+    order: int
+    bandwidth_hz: float
+    phase: bool = False
+
+    def tone(self, seen: Accumulated) -> Tone:
+        """Tone of a window, of its squares where it is not coherent."""
+        sums = seen.periods[:, 1]
+        if seen.coherent:
+            return self.discriminate(sums, seen.period_s)
+        double = self.discriminate(sums * sums, seen.period_s)
+        return Tone(0.5 * double.frequency_hz, 0.5 * double.phase_cycles, double.peak)
+
+    def correct(self, seen: Accumulated) -> Correction:
+        """Frequency, its rate (order 2) and, when wanted, phase."""
+        tone = self.tone(seen)
+        gains = loop_gains(self.order, self.bandwidth_hz, seen.seconds)
+        return Correction(
+            tone.phase_cycles if self.phase else 0.0,
+            gains.phase * tone.frequency_hz,
+            gains.frequency * tone.frequency_hz,
+        )
+
+    def straightened(self, seen: Accumulated) -> Accumulated:
+        """The window turned to its tone, for a code loop that adds it up coherently."""
+        if not seen.coherent:
+            return seen
+        bins = self.tone(seen).frequency_hz * seen.seconds
+        turn = turned(np.ones(seen.periods.shape[0], dtype=np.complex128), bins)
+        return accumulate(seen.periods * turn[:, np.newaxis], seen.period_s, coherent=True)
+
+
+def spectral_lock(settings: FrequencySettings) -> SpectralLock:
+    """The carrier tracker of the settings."""
+    discriminate = _DISCRIMINATORS.get(
+        settings.discriminator, partial(fft_tone, bins=settings.bins)
+    )
+    return SpectralLock(discriminate, settings.order, settings.bandwidth_hz, settings.phase)
+
+
+def window_of(symbols: ComplexArray, symbol_s: float, signs: FloatArray | None) -> Accumulated:
+    """A window from symbol sums (n, taps), stripped where their signs (n,) are known."""
+    if signs is None:
+        return accumulate(symbols, symbol_s, coherent=False)
+    return accumulate(symbols * signs[:, np.newaxis], symbol_s, coherent=True)
+
+
+class Glance(NamedTuple):
+    """What one window says of lines away from the middle."""
+
+    frequency_hz: float  # of the generator, less its aiding
+    powers: FloatArray  # of all lines of the window's squares
+    gains: FloatArray  # (2, n) power gained by each symbol when shifted down, up
+
+
+class LockWatch:
+    """Finds a frequency lock that is off: beyond the few lines searched, or by ± half a symbol.
+
+    The first is looked for among the lines of the last windows, the second in the powers of
+    shifted symbols.
+    """
+
+    def __init__(self, symbol_s: float, window_s: float, bins: int) -> None:
+        """`bins`: lines about the middle where the discriminator finds the tone itself."""
+        self.step_hz = 0.5 / symbol_s
+        self._inside = bins // 2
+        self._line_hz = 0.5 / window_s
+        self._glances: deque[Glance] = deque(maxlen=max(1, round(_WATCHED_S / window_s)))
+
+    def clear(self) -> None:
+        """Start anew: the generator was moved."""
+        self._glances.clear()
+
+    def off_hz(self, prompts: ComplexArray, frequency_hz: float) -> float:
+        """How far the generator is to be moved, Hz; 0 while nothing speaks for it.
+
+        Parameters: prompts of whole symbols (n, periods) without their secondary code; the
+        generator's frequency less its aiding.
+        """
+        sums = prompts.sum(axis=1)
+        down, same, up = shifted_powers(prompts).T
+        powers = np.abs(np.fft.fftshift(np.fft.fft(sums * sums))) ** 2
+        self._glances.append(Glance(frequency_hz, powers, np.stack([down - same, up - same])))
+        return self._shift_hz() or self._far_hz(frequency_hz)
+
+    def _shift_hz(self) -> float:
+        gains = np.concatenate([glance.gains for glance in self._glances], axis=1)
+        spread = gains.std(axis=1) / math.sqrt(gains.shape[1])
+        side = int(np.argmax(gains.mean(axis=1)))
+        if gains[side].mean() <= _SHIFT_SIGMAS * spread[side]:
+            return 0.0
+        return self.step_hz if side else -self.step_hz
+
+    def _far_hz(self, frequency_hz: float) -> float:
+        """From the lines of several windows, each moved by what the generator has moved since."""
+        total = np.zeros(self._glances[-1].powers.size)
+        for glance in self._glances:
+            total += np.roll(
+                glance.powers, round((glance.frequency_hz - frequency_hz) / self._line_hz)
+            )
+        middle, best = total.size // 2, int(np.argmax(total))
+        near = total[max(0, middle - self._inside) : middle + self._inside + 1]
+        noise = np.median(total) / len(self._glances)
+        if total[best] - near.max() <= _FAR_RATIO * noise * math.sqrt(len(self._glances)):
+            return 0.0
+        return (best - middle) * self._line_hz
