@@ -11,9 +11,13 @@ from deepgnss.core.records import FloatArray
 from deepgnss.sim.delays import Place, Reception, place_of, receive_at, view_of
 from deepgnss.sim.orbits import Orbit, orbit_of
 from deepgnss.sim.scenario import Arrivals, Emitter, Scenario
+from deepgnss.sim.surroundings.sight import STATES, Seen
 
 IN_SIGHT: Final = 0.1
 """Amplitude factor (−20 dB) below which a line of sight counts as blocked."""
+
+SILENT: Final = "silent"
+"""State of an emitter that is off, or below the mask."""
 
 _HALF_S: Final = 0.5e-3  # either side of an instant, for the rates there
 
@@ -29,6 +33,8 @@ class Sight(NamedTuple):
     ray: FloatArray  # amplitude factor of the strongest reflection
     ray_excess_m: FloatArray  # its extra path
     visible: NDArray[np.bool_]
+    state: NDArray[np.str_]  # of the line of sight: free … blocked, or silent
+    cause: NDArray[np.str_]  # what stands in it, empty when it is free
 
 
 def orbits_of(scenario: Scenario) -> list[Orbit]:
@@ -59,8 +65,10 @@ def sight(scenario: Scenario, emitter: Emitter, orbit: Orbit, places: Places) ->
         direct = arrivals.direct
         if len(arrivals.ray_amplitude):
             strongest = np.argmax(arrivals.ray_amplitude, axis=0), np.arange(t_s.size)
-            ray, excess_m = arrivals.ray_amplitude[strongest], arrivals.ray_excess_m[strongest]
+            ray = arrivals.ray_amplitude[strongest]
+            excess_m = np.where(ray > 0.0, arrivals.ray_excess_m[strongest], 0.0)
     free_dbhz = free_cn0(emitter, t_s)
+    state, cause = _told(scenario, emitter, places.now, now)
     with np.errstate(divide="ignore"):
         cn0_dbhz = free_dbhz + 20.0 * np.log10(direct)
     return Sight(
@@ -72,6 +80,8 @@ def sight(scenario: Scenario, emitter: Emitter, orbit: Orbit, places: Places) ->
         ray=ray,
         ray_excess_m=excess_m,
         visible=(direct >= IN_SIGHT) & np.isfinite(free_dbhz),
+        state=np.where(np.isfinite(free_dbhz), state, SILENT),
+        cause=cause,
     )
 
 
@@ -92,6 +102,18 @@ def _arrivals(
         return None
     view = view_of(scenario, emitter, place, truth)
     return scenario.surroundings.arrivals(view, emitter.signal.id.carrier_hz)
+
+
+def _told(
+    scenario: Scenario, emitter: Emitter, place: Place, truth: Reception
+) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
+    """State of a line of sight and what stands in it, in words."""
+    count = place.t_s.size
+    if not isinstance(scenario.surroundings, Seen):
+        return np.full(count, STATES[0]), np.full(count, "")
+    view = view_of(scenario, emitter, place, truth)
+    state, cause, names = scenario.surroundings.visibility(view, emitter.signal.id.carrier_hz)
+    return np.array(STATES)[state], np.array([*names, ""])[cause]  # −1: the last, nothing
 
 
 def free_cn0(emitter: Emitter, t_s: FloatArray) -> FloatArray:

@@ -24,7 +24,7 @@ _RANGES: Final[Mapping[str, int | None]] = {
     **{"carrier_cycles": 5, "geom_range_m": 5, "iono_m": 5, "range_rate_mps": 6},
     **{"cn0_dbhz": 2, "tropo_m": 5, "satellite_clock_m": 5},
     **{"satellite": None, "signal": None, "doppler_hz": 4, "visible": None, "direct": 4},
-    **{"reflection": 4, "reflection_excess_m": 3},
+    **{"line_of_sight": None, "cause": None, "reflection": 4, "reflection_excess_m": 3},
 }
 """The first ones as other tools have them; `prn` alone would not tell the systems apart."""
 
@@ -98,6 +98,8 @@ def write_ranges(path: Path, scenario: Scenario, step_s: float) -> None:
                 by_time([one.doppler_hz for one in seen]),
                 np.array([one.visible for one in seen]).T.reshape(-1).astype(int),
                 by_time([one.direct for one in seen]),
+                np.array([one.state for one in seen]).T.reshape(-1),
+                np.array([one.cause for one in seen]).T.reshape(-1),
                 by_time([one.ray for one in seen]),
                 by_time([one.ray_excess_m for one in seen]),
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ def free_sight(count: int) -> Sight:
     return Sight(np.zeros(count, dtype=np.int8), np.full(count, -1, dtype=np.int16), ())
 
 
+@runtime_checkable
 class Seen(Surroundings, Protocol):
     """Surroundings that can tell what hides a satellite."""
 

@@ -272,3 +272,28 @@ def test_inertial_truth_holds_the_errors_of_the_log(tmp_path: Path) -> None:
             assert bias.abs().min() > 0.0
             assert abs(noise.mean()) < 5.0 * noise.std() / math.sqrt(len(noise))
             assert noise.std() < 0.2 * (bias.abs().mean() + 1e-2)
+
+
+def test_obstacles_are_named_where_they_stand(drive: tuple[Path, Simulation]) -> None:
+    """In the tunnel's middle every satellite is blocked by it; before the trees all are free."""
+    frame = pd.read_csv(drive[0] / "ranges.csv", keep_default_na=False)
+    elapsed_s = frame["tow"].astype(float) - 382_256.0
+    early = frame[(elapsed_s > 2.0) & (elapsed_s < 15.0)]
+    assert (early["line_of_sight"] == "free").all() and (early["cause"] == "").all()
+    assert (early["visible"] == 1).all()
+    path = drive[1].scenario.vehicle.path
+    at_m = path.distance(elapsed_s.to_numpy())  # type: ignore[attr-defined]
+    inside = frame[(at_m > 400.0) & (at_m < 420.0)]
+    assert len(inside) > 10
+    assert inside["line_of_sight"].isin(["blocked", "diffracted"]).all()
+    assert inside["cause"].str.contains("tunnel").all()
+    assert (inside["visible"] == 0).all()
+    below = frame[(at_m > 140.0) & (at_m < 160.0)]
+    assert below["cause"].str.contains("trees").any()
+    silent = build(load_scenario("blockage_20s", ("seconds=80",)))
+    write_ranges(drive[0] / "silent.csv", silent.scenario, 1.0)
+    frame = pd.read_csv(drive[0] / "silent.csv")
+    off = frame["line_of_sight"] == "silent"
+    elapsed_s = frame["tow"] - 382_256.0
+    assert (off == ((elapsed_s >= 55.0) & (elapsed_s < 75.0))).all()
+    assert (frame["visible"] == ~off).all()
