@@ -203,8 +203,10 @@ def check_words(bits: Bits, before: Sequence[int]) -> tuple[Bits, NDArray[np.boo
     return data, (parity(data, stars) == words[:, 24:]).all(axis=1)
 
 
-def _encode_words(words: Sequence[int]) -> Bits:
-    """Transmitted bits, shape (300,), of ten data words; words 2 and 10 end in D29 = D30 = 0.
+def encode_words(words: Sequence[int]) -> Bits:
+    """Transmitted bits, shape (30·n,), of up to ten data words from a subframe's start on.
+
+    Words 2 and 10 end in D29 = D30 = 0.
 
     Bits 23 and 24 of those two words are free for that purpose (20.3.3.1, 20.3.3.2).
     """
@@ -430,6 +432,7 @@ def encode_subframe(
     ephemeris: Ephemeris,
     iono_utc: IonoUtc | None = None,
     page: int | None = None,
+    telemetry: int = 0,
 ) -> Bits:
     """The 300 transmitted bits of a subframe, upright; consecutive ones chain (D29* = D30* = 0).
 
@@ -439,6 +442,7 @@ def encode_subframe(
     subframe_id: 1–5. Subframe 4 carries `iono_utc` on page 18 and, like subframe 5, the dummy SV
         elsewhere (alternating ones and zeros, 20.3.3.5.1.1).
     page: 1–25 of subframes 4 and 5; by default the one due at `start`.
+    telemetry: the 16 bits behind the preamble, message, integrity flag and a reserved one.
     """
     if page is None:
         page = int(start.tow_s) // 30 % 25 + 1
@@ -454,9 +458,9 @@ def encode_subframe(
     else:
         words = [0, 0, 0x40AAAA] + [0xAAAAAA] * 7
     count = (int(start.tow_s) // SUBFRAME_S + 1) % _TOW_COUNTS
-    words[0] = 0x8B << 16
+    words[0] = 0x8B << 16 | telemetry
     words[1] = count << 7 | subframe_id << 2
-    return _encode_words(words)
+    return encode_words(words)
 
 
 def _values(ephemeris: Ephemeris, start: GpsTime) -> dict[str, float]:

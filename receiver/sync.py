@@ -80,6 +80,19 @@ def symbol_edge(state: BitSync, lead: float = 18.0, minimum: int = 6) -> Edge | 
     return Edge(int(period), bool(pattern))
 
 
+def edge_energies(prompts: ComplexArray, secondary: FloatArray) -> FloatArray:
+    """Energy of whole symbols, the secondary code stripped, for every edge, T(5.16–5.17).
+
+    Parameters: prompts (n,) of consecutive code periods; secondary, signs of a symbol's periods.
+    Each edge counts as many symbols as all can have. The likelihood of `add_prompts` says more
+    of strong signals, and whether the highest stands out; this is the published decision.
+    """
+    size = secondary.size
+    count = (prompts.size - size + 1) // size
+    sums = np.correlate(prompts, secondary)[: count * size].reshape(count, size)
+    return np.asarray((sums.real**2 + sums.imag**2).sum(axis=0))
+
+
 class Demodulated(NamedTuple):
     """Symbols of a frequency-locked stretch and the carrier at its end."""
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from deepgnss.core.errors import ConfigError
+from deepgnss.evaluate.reproduce import bit_sync, frame_sync
 from deepgnss.evaluate.reproduce.table import Row
 
 ROWS: Final = (
@@ -71,12 +72,14 @@ ROWS: Final = (
         "bit sync at 20 dB-Hz, 300 sums: GPS / BDS D1",
         "99.2 / 100 %",
         "≥ 99.5 / 100 %",
+        bit_sync.measure,
     ),
     Row(
         "FRAME-20",
         "frame sync at 20 dB-Hz from one frame: GPS / BDS D1; from two: wrong ones",
         "97.7 / 75.8 %; 0 wrong",
         "≥ 98 / 85 %; 0 wrong",
+        frame_sync.measure,
     ),
     Row(
         "LOCK-25",

@@ -1,0 +1,31 @@
+"""BIT-20 and FRAME-20 in their quick versions, and the correlator outputs they are made on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deepgnss.evaluate.reproduce import rows_named, verdict
+from deepgnss.evaluate.reproduce.weak_symbols import Residual, received
+
+
+@pytest.mark.parametrize("name", ["BIT-20", "FRAME-20"])
+def test_reaches_its_target(name: str) -> None:
+    (row,) = rows_named([name])
+    assert row.measure is not None
+    figures = row.measure(True, [1])
+    assert verdict(figures), figures
+    assert any(figure.met for figure in figures)
+
+
+def test_strength_and_residual_of_what_is_received() -> None:
+    rng = np.random.default_rng(1)
+    still = Residual(0.0, 0.0, 0.0)
+    sums = received(np.ones(20_000), 0.02, rng, 20.0, still)
+    assert abs(sums.mean()) == pytest.approx(1.0, abs=0.02)
+    # Es/N0 = C/N0 · T = 2
+    assert np.var(sums) == pytest.approx(0.5, rel=0.03)
+    cycles = Residual(2.0, 0.0, 0.0).cycles(100, 0.02, rng)
+    np.testing.assert_allclose(np.diff(cycles, 2), 0.0, atol=1e-12)
+    slopes = [np.diff(Residual(2.0).cycles(50, 0.02, rng)).mean() / 0.02 for _ in range(400)]
+    assert np.std(slopes) == pytest.approx(2.03, rel=0.12)
