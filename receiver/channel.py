@@ -25,6 +25,7 @@ from deepgnss.receiver.baseband import correlate
 from deepgnss.receiver.frequency_tracking import (
     LockWatch,
     always_squares,
+    noise_bandwidth_hz,
     spectral_lock,
     window_of,
 )
@@ -50,7 +51,7 @@ from deepgnss.receiver.modes import (
     lowest_frequency_lock_dbhz,
     unaided,
 )
-from deepgnss.receiver.signals import Signal, code_runs
+from deepgnss.receiver.signals import Signal, code_runs, neighbour_correlation
 from deepgnss.receiver.sync import (
     BitSync,
     add_prompts,
@@ -136,6 +137,7 @@ class Channel:
         self._taps: FloatArray = np.array([half, 0.0, -half])
         self._rate = sample_rate_hz
         self._sample_chips = signal.id.chip_rate_hz / sample_rate_hz
+        self._neighbour = neighbour_correlation(signal.id.name, prn)
         self._length = float(signal.id.code_chips)
         self._margin = 4 + int(2.0 * settings.spacing_chips / self._sample_chips)
         self._history = int(_HISTORY_UPDATES * signal.update_s * sample_rate_hz)
@@ -340,7 +342,11 @@ class Channel:
     def _delay_lock(self, bandwidth_hz: float) -> DelayLock:
         settings = self.settings
         return DelayLock(
-            settings.code_order, bandwidth_hz, settings.spacing_chips, self._sample_chips
+            settings.code_order,
+            bandwidth_hz,
+            settings.spacing_chips,
+            self._sample_chips,
+            self._neighbour,
         )
 
     def _narrow_code_loop(self) -> bool:
@@ -687,7 +693,7 @@ class Channel:
         if self.mode is Mode.PHASE:
             return settings.carrier_bandwidth_hz
         if self.mode is Mode.WEAK:
-            return settings.frequency.bandwidth_hz
+            return noise_bandwidth_hz(settings.frequency)
         return settings.frequency_bandwidth_hz
 
     @property

@@ -60,19 +60,20 @@ def frequency_squared(prompts: ComplexArray, interval_s: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def early_late_slope(spacing_chips: float, sample_chips: float) -> float:
+def early_late_slope(spacing_chips: float, sample_chips: float, neighbour: float = 0.0) -> float:
     """d/dδ of (E − L)/(E + L) at δ = 0, 1/chip.
 
-    The correlation triangle is smoothed by one sample's length, since taps off prompt split
-    samples at chip edges (`baseband`). Without smoothing it is 2/(2 − D).
+    The correlation falls straight from 1 to `neighbour`, its value a chip off (63/1023 for some
+    C/A codes), and is smoothed by one sample's length, since taps off prompt split samples at chip
+    edges (`baseband`). Without smoothing and neighbour it is 2/(2 − D).
 
-    Parameters: early-to-late spacing D; length of a sample, both in chips.
+    Parameters: early-to-late spacing D; length of a sample, both in chips; correlation a chip off.
     """
-    offset, half = spacing_chips / 2.0, sample_chips / 2.0
+    offset, half, fall = spacing_chips / 2.0, sample_chips / 2.0, 1.0 - neighbour
     if offset >= half:
-        return 1.0 / (1.0 - offset)
-    value = 1.0 - (offset * offset + half * half) / sample_chips
-    return (2.0 * offset / sample_chips) / value
+        return fall / (1.0 - fall * offset)
+    value = 1.0 - fall * (offset * offset + half * half) / sample_chips
+    return fall * (2.0 * offset / sample_chips) / value
 
 
 def early_minus_late_envelope(early: float, late: float, slope: float) -> float:

@@ -208,6 +208,13 @@ def signal_of(signal_name: str, prn: int) -> Signal:
 
 
 @cache
+def neighbour_correlation(signal_name: str, prn: int) -> float:
+    """Correlation of a satellite's primary code with itself one chip off, against that at zero."""
+    code = signal_of(signal_name, prn).primary_code(prn).astype(np.float64)
+    return float(code @ np.roll(code, 1)) / code.size
+
+
+@cache
 def code_runs(signal_name: str, prn: int) -> CodeRuns:
     """Primary code of a satellite as runs of equal chips."""
     code = signal_of(signal_name, prn).primary_code(prn)

@@ -162,6 +162,7 @@ class DelayLock:
     bandwidth_hz: float
     spacing_chips: float
     sample_chips: float
+    neighbour: float = 0.0  # the code's correlation a chip off
     discriminator: Callable[[float, float, float], float] = early_minus_late_envelope
 
     def correct(self, seen: Accumulated) -> Correction:
@@ -171,7 +172,7 @@ class DelayLock:
         else:
             power = (seen.periods.real**2 + seen.periods.imag**2).sum(axis=0)
             early, late = float(power[0]) ** 0.5, float(power[2]) ** 0.5
-        slope = early_late_slope(self.spacing_chips, self.sample_chips)
+        slope = early_late_slope(self.spacing_chips, self.sample_chips, self.neighbour)
         error = self.discriminator(early, late, slope)
         gains = loop_gains(self.order, self.bandwidth_hz, seen.seconds)
         return Correction(gains.phase * error, gains.frequency * error, 0.0)

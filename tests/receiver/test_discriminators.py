@@ -24,10 +24,9 @@ from deepgnss.receiver.discriminators import (
     frequency_arctan,
     frequency_squared,
 )
-from deepgnss.receiver.signals import code_runs
+from deepgnss.receiver.signals import SIGNALS, code_runs, neighbour_correlation, signal_of
 
 TURN = 2.0 * math.pi
-PRN = 1  # its correlation a chip off is −1 of 1023, as the triangle wants it
 quick = settings(deadline=None, derandomize=True, max_examples=50)
 costas = pytest.mark.parametrize("phase", [costas_arctan, costas_product, costas_decision])
 code_loops = pytest.mark.parametrize("kind", ["envelope", "power", "dot"])
@@ -138,12 +137,16 @@ def test_no_signal_no_code_error(kind: str) -> None:
 
 @pytest.mark.parametrize("rate_hz", [2.6e6, 4.0e6, 16.0e6])
 @pytest.mark.parametrize("spacing_chips", [0.1, 0.25, 0.5, 1.0])
-def test_slope_and_null_on_real_correlations(rate_hz: float, spacing_chips: float) -> None:
+@pytest.mark.parametrize("prn", [1, 7, 8])  # −1, 63, −65 of 1023 a chip off
+def test_slope_and_null_on_real_correlations(
+    rate_hz: float, spacing_chips: float, prn: int
+) -> None:
     """The mean over random sampling phases is what a loop sees; slope as stated, no bias."""
     generator = np.random.default_rng(3)
-    runs, info = code_runs("GPS_L1CA", PRN), stream(rate_hz)
+    runs, info = code_runs("GPS_L1CA", prn), stream(rate_hz)
     taps = np.array([0.5, 0.0, -0.5]) * spacing_chips
-    slope = early_late_slope(spacing_chips, CHIP_HZ / rate_hz)
+    neighbour = neighbour_correlation("GPS_L1CA", prn)
+    slope = early_late_slope(spacing_chips, CHIP_HZ / rate_hz, neighbour)
     count = int(1.1e-3 * rate_hz)
     errors_chips = np.array([-0.02, 0.0, 0.02])
     seen = np.zeros(errors_chips.size)
@@ -152,10 +155,27 @@ def test_slope_and_null_on_real_correlations(rate_hz: float, spacing_chips: floa
         # Stratified sampling phases of the first chip edge, all chips' edges spread from there.
         late = (trial + generator.uniform()) / trials * CHIP_HZ / rate_hz
         truth = signal_command(8, doppler_hz=0.0, code_chips=-late)
-        sums = running_sums(sampled(info, PRN, truth, 0, count), info.centre_hz)
+        sums = running_sums(sampled(info, prn, truth, 0, count), info.centre_hz)
         for k, error in enumerate(errors_chips):
             local = truth._replace(code_chips=truth.code_chips - error)
             early, _, late_tap = correlate(sums, local, runs, taps, 1)[0]
             seen[k] += early_minus_late_envelope(abs(early), abs(late_tap), slope) / trials
     assert seen[1] == pytest.approx(0.0, abs=0.001)
     assert (seen[2] - seen[0]) / 0.04 == pytest.approx(1.0, abs=0.03)
+
+
+ALL_CODES = [(name, prn) for name, kinds in SIGNALS.items() for kind in kinds for prn in kind.prns]
+
+
+@pytest.mark.parametrize(("name", "prn"), ALL_CODES)
+def test_slope_of_every_code(name: str, prn: int) -> None:
+    """Of (E − L)/(E + L) on the periodic code itself, sampled finely."""
+    per_chip = 40
+    code = np.repeat(signal_of(name, prn).primary_code(prn), per_chip)
+    correlation = np.fft.irfft(np.abs(np.fft.rfft(code)) ** 2, code.size)
+    for spacing_chips in (0.1, 0.25, 0.5, 1.0):
+        offset = round(0.5 * spacing_chips * per_chip)
+        early, late = correlation[[offset - 1, offset + 1]]
+        measured = (early - late) / (early + late) * per_chip
+        stated = early_late_slope(spacing_chips, 1e-9, neighbour_correlation(name, prn))
+        assert stated == pytest.approx(measured, rel=1e-9)
