@@ -67,6 +67,7 @@ class Settings:
     restart_after: int = 10  # epochs in a row whose positions (ranges: most of them) are refused
     clock: ClockNoise = field(default_factory=ClockNoise)
     keep_trajectories: bool = False  # at IMU rate: some 0.2 kB per increment
+    keep_epochs: bool = True  # for the smoother; without, memory stays flat
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,9 @@ class Integration:
     reason: str  # why there is nothing, or nothing more; empty after a whole run
 
 
-class _Instant(NamedTuple):
+class Instant(NamedTuple):
+    """What belongs to an instant, s since the block's origin."""
+
     time_s: float
     fix: GnssFix | None = None
     ranges: RangeEpoch | None = None
@@ -130,7 +133,7 @@ def integrate(
     It starts anew, and says so, after a gap too long to bridge, after `restart_after` epochs of
     refused positions in a row, and after a numerical failure.
     """
-    run = _Run(block, noise, settings)
+    run = Coupling(block, noise, settings)
     instants = _instants(block, fixes, ranges, wheels, settings.epoch_s)
     times_s = np.array([instant.time_s for instant in instants])
     from_s, reason = float(block.time_s[0] - block.dt_s[0]) if block.time_s.size else 0.0, ""
@@ -159,8 +162,8 @@ def integrate(
     )
 
 
-class _Run:
-    """The navigator on its way, and what it leaves behind."""
+class Coupling:
+    """The navigator on its way through the increments of a block, and what it leaves behind."""
 
     def __init__(self, block: ImuBlock, noise: ProcessNoise, settings: Settings) -> None:
         self.block, self.noise, self.settings = block, noise, settings
@@ -171,12 +174,37 @@ class _Run:
         self.trajectories: list[Trajectory] = []
         self._navigator: InsNavigator
         self._Phi: FloatArray
+        self._omega_ib_b = np.zeros(3)
         self._refused = 0
 
+    @property
+    def estimate(self) -> Estimate:
+        """As it stands."""
+        return self._navigator.estimate
+
+    @property
+    def time_s(self) -> float:
+        """Instant at which it stands, s since the block's origin."""
+        return self.estimate.ins.time.since(self.block.origin)
+
+    def look_ahead(self, until_s: float) -> Trajectory:
+        """The way on to an instant by the increments alone; nothing moves."""
+        _, trajectory = self._navigator.advance(self._between(until_s), until_s)
+        return trajectory
+
+    def antenna(self) -> models.Point:
+        """The antenna as it stands."""
+        omega_ib_b = self._omega_ib_b
+        return models.body_point(
+            self.estimate.ins, omega_ib_b, self.settings.lever_b_m, self.estimate.layout
+        )
+
     def note(self, time_s: float, what: str, reason: str) -> None:
+        """Keep a line for the log."""
         self.events.append(InsEvent(time_s, what, reason))
 
     def begin(self, estimate: Estimate) -> None:
+        """Start from an estimate."""
         size = estimate.layout.size
         self._navigator = InsNavigator(estimate, self.noise, None, self.settings.epoch_s)
         self._Phi, self._refused = np.eye(size), 0
@@ -185,7 +213,7 @@ class _Run:
         )
         self.note(estimate.ins.time.since(self.block.origin), "started", "aligned")
 
-    def through(self, instants: Sequence[_Instant]) -> float | None:
+    def through(self, instants: Sequence[Instant]) -> float | None:
         """Run through instants; the time to start anew from, or None at the end."""
         for instant in instants:
             try:
@@ -211,11 +239,10 @@ class _Run:
 
     def _carry(self, time_s: float) -> Trajectory:
         """Advance the navigator and the parameters behind the inertial errors."""
-        start_s = self._navigator.state.time.since(self.block.origin)
-        first = int(np.searchsorted(self.block.time_s, start_s + SAME_INSTANT_S))
-        end = int(np.searchsorted(self.block.time_s, time_s - SAME_INSTANT_S)) + 1
-        piece = rows(self.block, first, end)
-        self._navigator, trajectory = self._navigator.advance(piece, time_s)
+        start_s = self.time_s
+        self._navigator, trajectory = self._navigator.advance(self._between(time_s), time_s)
+        if trajectory.omega_ib_b_radps.size:
+            self._omega_ib_b = trajectory.omega_ib_b_radps[-1]
         for gap in trajectory.bridged:
             self.note(gap.start_s, "bridged", f"no increments for {gap.length_s:.3f} s")
         estimate = self._navigator.estimate
@@ -238,12 +265,21 @@ class _Run:
             self.trajectories.append(trajectory)
         return trajectory
 
-    def _correct(self, instant: _Instant, trajectory: Trajectory) -> None:
+    def _between(self, until_s: float) -> ImuBlock:
+        """Increments from where the navigator stands to an instant, the one across it included."""
+        first = int(np.searchsorted(self.block.time_s, self.time_s + SAME_INSTANT_S))
+        end = int(np.searchsorted(self.block.time_s, until_s - SAME_INSTANT_S)) + 1
+        return rows(self.block, first, end)
+
+    def _correct(self, instant: Instant, trajectory: Trajectory) -> None:
         estimate = self._navigator.estimate
         after = updated(estimate, self._measured(instant, trajectory), self.settings.false_alarm)
-        self.epochs.append(
-            FilterEpoch(after.estimate, after.x, after.x_turning_mps, estimate.P, self._Phi, True)
-        )
+        if self.settings.keep_epochs:
+            self.epochs.append(
+                FilterEpoch(
+                    after.estimate, after.x, after.x_turning_mps, estimate.P, self._Phi, True
+                )
+            )
         self.innovations.extend(after.innovations)
         believed = [i.accepted for i in after.innovations if i.kind in PLACING]
         if believed:
@@ -251,7 +287,7 @@ class _Run:
         self._navigator = replace(self._navigator, estimate=after.estimate)
         self._Phi = np.eye(estimate.layout.size)
 
-    def _measured(self, instant: _Instant, trajectory: Trajectory) -> list[Measurement]:
+    def _measured(self, instant: Instant, trajectory: Trajectory) -> list[Measurement]:
         estimate, settings = self._navigator.estimate, self.settings
         ins, layout = estimate.ins, estimate.layout
         if not trajectory.omega_ib_b_radps.size:
@@ -294,7 +330,7 @@ class _Run:
             )
         return found
 
-    def _stands(self, instant: _Instant) -> bool:
+    def _stands(self, instant: Instant) -> bool:
         """Quiet sensors, or wheels at rest, and a speed that agrees."""
         estimate = self._navigator.estimate
         row = int(np.searchsorted(self.block.time_s, instant.time_s - SAME_INSTANT_S))
@@ -312,25 +348,25 @@ def _instants(
     ranges: Sequence[RangeEpoch],
     wheels: WheelSpeeds | None,
     epoch_s: float,
-) -> list[_Instant]:
+) -> list[Instant]:
     """Instants of fixes, wheel speeds and the constraints' own grid, in order of time."""
-    found = [_Instant(fix.time.since(block.origin), fix=fix) for fix in fixes]
-    found += [_Instant(epoch.time.since(block.origin), ranges=epoch) for epoch in ranges]
+    found = [Instant(fix.time.since(block.origin), fix=fix) for fix in fixes]
+    found += [Instant(epoch.time.since(block.origin), ranges=epoch) for epoch in ranges]
     if wheels is not None:
         shift_s = wheels.origin.since(block.origin)
         found += [
-            _Instant(float(time_s) + shift_s, speed_mps=float(speed_mps))
+            Instant(float(time_s) + shift_s, speed_mps=float(speed_mps))
             for time_s, speed_mps in zip(wheels.time_s, wheels.speed_mps, strict=True)
         ]
     if block.time_s.size:
         first, last = block.time_s[[0, -1]] / epoch_s
         grid = np.arange(np.ceil(first), np.floor(last) + 1) * epoch_s
-        found += [_Instant(float(time_s), constrained=True) for time_s in grid]
-    merged: list[_Instant] = []
+        found += [Instant(float(time_s), constrained=True) for time_s in grid]
+    merged: list[Instant] = []
     for instant in sorted(found, key=lambda instant: instant.time_s):
         if merged and instant.time_s - merged[-1].time_s < SAME_EPOCH_S:
             before = merged[-1]
-            merged[-1] = _Instant(
+            merged[-1] = Instant(
                 before.time_s,
                 before.fix or instant.fix,
                 before.ranges or instant.ranges,
