@@ -9,10 +9,11 @@ import pytest
 
 from deepgnss.core.attitude import quaternion_from_euler, rotation_matrix
 from deepgnss.core.frames import C_ne, ecef
-from deepgnss.core.records import FloatArray, InsState
+from deepgnss.core.records import FloatArray, InsState, NavSolution
 from deepgnss.core.time import GpsTime
 from deepgnss.ins import measurements as models
 from deepgnss.ins.error_state import Estimate, Layout, corrected, difference
+from deepgnss.ins.fixes import fix_of
 from deepgnss.ins.measurements import Measurement, body_point
 from deepgnss.ins.ranging import RangeObservation, pseudorange, range_rate
 
@@ -158,3 +159,16 @@ def test_difference_undoes_correction() -> None:
     np.testing.assert_allclose(
         difference(NOMINAL.ins, corrected(NOMINAL.ins, error)), error, rtol=1e-5, atol=1e-7
     )
+
+
+def test_fix_of_a_solution_turns_ecef_into_ned() -> None:
+    """At longitude 90° on the equator: north is z, east is −x, down is −y of ECEF."""
+    solution = NavSolution(
+        GpsTime(2200, 5.0), True, "", ecef(0.0, np.pi / 2, 0.0), np.array([1.0, 2.0, 3.0]),
+        0.0, 0.0, {}, np.diag([1.0, 4.0, 9.0, 1.0]), np.diag([0.1, 0.4, 0.9, 1.0]),
+        {}, (), {}, {}, {},
+    )  # fmt: skip
+    fix = fix_of(solution)
+    np.testing.assert_allclose(fix.v_n_mps, [3.0, -1.0, -2.0], atol=1e-9)
+    np.testing.assert_allclose(fix.covariance_n_m2, np.diag([9.0, 1.0, 4.0]), atol=1e-9)
+    np.testing.assert_allclose(fix.velocity_covariance_n_m2ps2, np.diag([0.9, 0.1, 0.4]), atol=1e-9)
