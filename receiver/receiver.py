@@ -148,12 +148,15 @@ class Receiver:
         first: int,
         end: int,
         aiding: Mapping[str, AidingSource] | None = None,
+        place: tuple[FloatArray, FloatArray] | None = None,
     ) -> StepResult:
         """Run through samples [first, end) of the first stream; the feeds stand at `first`.
 
         feeds: running sums by signal name. aiding: by satellite, in samples of its own stream.
+        place: position and velocity (ECEF) by somebody who knows better than the last solution.
         """
         self._events = []
+        self._last_place = place or self._last_place
         self._search(feeds, first, end)
         self._track(feeds, end, aiding or {})
         subframes = self._read_messages()
