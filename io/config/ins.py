@@ -39,6 +39,8 @@ class GnssErrorConfig(Section):
     """m, 1σ per axis on top of each fix's own."""
     velocity: Annotated[float, Quantity(0.0, 100.0, "m/s")] = 0.0
     """m/s, 1σ per axis on top of each fix's own."""
+    velocities: Switch = True
+    """Use the solution's velocities; not where they are differences of its own positions."""
     correlation: Annotated[float, Quantity(0.0, 3600.0, "s")] = 0.0
     """Time for which errors of positions last, s: fixes closer than twice that count the less."""
 
