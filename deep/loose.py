@@ -9,20 +9,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepgnss.core.attitude import matrix_from_euler
 from deepgnss.core.constants import SECONDS_PER_WEEK
 from deepgnss.core.errors import ConfigError, InputFileError
 from deepgnss.core.records import FloatArray, ImuBlock
 from deepgnss.core.time import GpsTime, from_utc
+from deepgnss.deep.inertial import (
+    alignment_settings,
+    coupling_settings,
+    imu_section,
+    layout_of,
+    wheel_speeds,
+)
 from deepgnss.ins import (
     Alignment,
-    AlignmentSettings,
     Estimate,
     GnssFix,
     Integration,
     Layout,
     Settings,
-    Vehicle,
     WheelSpeeds,
     integrate,
     process_noise,
@@ -31,12 +35,10 @@ from deepgnss.ins import (
 from deepgnss.ins.increments import SAME_INSTANT_S, joined
 from deepgnss.ins.measurements import body_point
 from deepgnss.ins.sanity import findings
-from deepgnss.ins.standstill import standstill_limits
 from deepgnss.io.config import Config
-from deepgnss.io.config.aids import ImuConfig
 from deepgnss.io.config.ins import GnssErrorConfig
 from deepgnss.io.gnss import GnssLog, is_weekless, read_gnss
-from deepgnss.io.imu import ImuLog, OdometerLog, read_odometer
+from deepgnss.io.imu import ImuLog, read_odometer
 
 NAVIGATION = 9
 """Errors of position, velocity and attitude: the first of the filter's."""
@@ -102,7 +104,7 @@ def read_inputs(config: Config, gnss_file: Path) -> Inputs:
     ------
     ConfigError, InputFileError: one of them cannot be used, or they have no second in common.
     """
-    imu = _imu(config)
+    imu = imu_section(config)
     start = config.recording.start_time
     near = None if start is None else from_utc(start)
     gnss = None if is_weekless(gnss_file) else read_gnss(gnss_file)
@@ -124,15 +126,9 @@ def read_inputs(config: Config, gnss_file: Path) -> Inputs:
         if config.ins.vehicle is None:
             raise ConfigError("ins.vehicle: found nothing; the odometer needs to know the axle")
         speeds, faults = read_odometer(config.odometer, first)
-        wheels = _wheels(speeds)
+        wheels = wheel_speeds(speeds)
         warnings += faults
     return Inputs(block, _fixes(gnss, config.ins.gnss), wheels, tuple(warnings))
-
-
-def _imu(config: Config) -> ImuConfig:
-    if config.imu is None:
-        raise ConfigError("imu: found nothing; expected the section on the inertial unit")
-    return config.imu
 
 
 def _fixes(log: GnssLog, errors: GnssErrorConfig) -> tuple[GnssFix, ...]:
@@ -161,15 +157,6 @@ def _fixes(log: GnssLog, errors: GnssErrorConfig) -> tuple[GnssFix, ...]:
     return tuple(found)
 
 
-def _wheels(log: OdometerLog) -> WheelSpeeds:
-    """Speeds at the middle of the times they are means over."""
-    if log.time_s.size < 2:
-        return WheelSpeeds(*log)
-    usual_s = np.median(np.diff(log.time_s))
-    length_s = np.minimum(np.diff(log.time_s, prepend=log.time_s[0] - usual_s), 1.5 * usual_s)
-    return WheelSpeeds(log.origin, log.time_s - 0.5 * length_s, log.speed_mps)
-
-
 # --- the run -------------------------------------------------------------------------------------
 
 
@@ -180,31 +167,16 @@ def run_loose(config: Config, inputs: Inputs, outages: Sequence[Outage] = ()) ->
     ------
     ConfigError: an outage holds no fix.
     """
-    imu = _imu(config)
+    imu = imu_section(config)
     withheld = tuple(_withheld(inputs.fixes, outage) for outage in outages)
     hidden = {id(fix) for held in withheld for fix in held}
     fixes = [fix for fix in inputs.fixes if id(fix) not in hidden]
     grade = imu.grade.build()
-    layout = Layout(config.ins.states, odometer=inputs.wheels is not None)
-    settings = replace(_settings(config, inputs), keep_trajectories=bool(outages))
-    alignment = imu.alignment
-    given = (alignment.roll, alignment.pitch, alignment.yaw)
-    roll, pitch, yaw = (0.0 if angle is None else np.radians(angle) for angle in given)
-    mounted = config.ins.vehicle.mounting[2] if config.ins.vehicle else 0.0
+    layout = layout_of(config, inputs.wheels)
+    settings = coupling_settings(config, inputs.block, inputs.wheels)
+    settings = replace(settings, keep_trajectories=bool(outages))
     aligner = Alignment(
-        inputs.block,
-        fixes,
-        grade,
-        AlignmentSettings(
-            alignment.method,
-            settings.lever_b_m,
-            (roll, pitch, yaw) if alignment.method == "config" else None,
-            mounting_yaw_rad=float(np.radians(mounted)),
-            layout=layout,
-            extras=np.zeros(layout.extras),
-            extra_sigmas=np.full(layout.extras, config.ins.odometer.scale),
-        ),
-        settings.standstill,
+        inputs.block, fixes, grade, alignment_settings(config, layout), settings.standstill
     )
     integration = integrate(
         inputs.block, fixes, aligner, process_noise(grade), settings, inputs.wheels
@@ -225,28 +197,6 @@ def _withheld(fixes: Sequence[GnssFix], outage: Outage) -> tuple[GnssFix, ...]:
             f" them up to {fixes[-1].time.since(fixes[0].time):.1f} s after its first"
         )
     return tuple(held)
-
-
-def _settings(config: Config, inputs: Inputs) -> Settings:
-    imu, ins = _imu(config), config.ins
-    vehicle = None
-    if ins.vehicle is not None:
-        per_epoch = 1.0 / np.sqrt(ins.epoch)  # of the mean over a second
-        vehicle = Vehicle(
-            np.array(ins.vehicle.axle),
-            matrix_from_euler(np.radians(ins.vehicle.mounting)),
-            (ins.vehicle.lateral * per_epoch, ins.vehicle.vertical * per_epoch),
-        )
-    rate_hz = 1.0 / float(np.median(inputs.block.dt_s))
-    return Settings(
-        lever_b_m=np.array(imu.lever_arm),
-        vehicle=vehicle,
-        odometer_sigma_mps=ins.odometer.sigma if inputs.wheels is not None else None,
-        standstill=standstill_limits(imu.grade.build(), rate_hz) if ins.standstill else None,
-        epoch_s=ins.epoch,
-        false_alarm=ins.false_alarm,
-        restart_after=ins.restart_after,
-    )
 
 
 def _epochs(
