@@ -11,7 +11,7 @@ from children import DEEPGNSS, Ran, run
 from rich.console import Console
 from rich.table import Table
 
-CHANNELS = 8  # of the preset
+CHANNELS = 8  # of the scenario
 ALLOWED_S = 0.012  # CPU time per channel and second of signal
 
 

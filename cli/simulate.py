@@ -138,15 +138,16 @@ class _Bar:
 def _print_result(simulation: Simulation, written: Written, took_s: float) -> None:
     console = Console(highlight=False)
     table = Table(box=None, pad_edge=False)
-    table.add_column("file")
-    table.add_column("size", justify="right")
+    table.add_column("file", no_wrap=True)
+    table.add_column("size", justify="right", no_wrap=True)
     table.add_column("holds")
     for file in written.files:
-        table.add_row(nearby(file.path), _size(file.path.stat().st_size), file.holds)
+        table.add_row(file.path.name, _size(file.path.stat().st_size), file.holds)
     console.print(table)
     seconds = simulation.scenario.seconds
     console.print(
-        f"\n{seconds:g} s in {took_s:.1f} s, {seconds / took_s:.1f} × real time; next:\n"
+        f"\n{seconds:g} s in {took_s:.1f} s, {seconds / took_s:.1f} × real time, written to"
+        f" {nearby(written.config.parent)}; next:\n"
         f"deepgnss process {nearby(written.recording)} --config {nearby(written.config)}",
         soft_wrap=True,
     )

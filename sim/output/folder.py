@@ -16,7 +16,7 @@ from deepgnss.core.errors import OutputError
 from deepgnss.io.config import resolved_yaml
 from deepgnss.io.config.text import write
 from deepgnss.io.container import ContainerWriter
-from deepgnss.io.folder import prepare_folder
+from deepgnss.io.folder import prepare_folder, written
 from deepgnss.io.output import part_path, reporting, write_whole
 from deepgnss.io.rinex_nav import write_nav
 from deepgnss.sim.generator import pieces
@@ -78,10 +78,12 @@ def write_simulation(
 
     Raises
     ------
-    OutputError: the folder or a file cannot be written, or the disk is too small for them.
+    OutputError: the folder or a file cannot be written, the disk is too small for them, or an
+        output would replace a file that the scenario reads.
     """
     folder = folder.resolve()
     _require_space(simulation, folder)
+    _spare_inputs(simulation, folder)
     prepare_folder(folder, FILES)
     files = [*_small_files(simulation, folder), *_truths(simulation, folder)]
     files += _samples(simulation, folder, threads, progress)
@@ -102,6 +104,13 @@ def _require_space(simulation: Simulation, folder: Path) -> None:
         raise OutputError(
             f"{folder}: the recording needs {math.ceil(needed)} bytes, the disk has {free} free"
         )
+
+
+def _spare_inputs(simulation: Simulation, folder: Path) -> None:
+    outputs = written(folder, FILES) if folder.is_dir() else []
+    for path in (simulation.config.satellites.nav, simulation.config.trajectory.file):
+        if path is not None and path.resolve() in outputs:
+            raise OutputError(f"{path}: read by the scenario, and an output would replace it")
 
 
 def _small_files(simulation: Simulation, folder: Path) -> Iterator[File]:

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -114,6 +115,21 @@ def test_errors_name_file_and_line(tmp_path: Path) -> None:
     assert str(caught.value).startswith(f"{path}:3: satellites.mask: found 99; expected 0 to 90")
 
 
+def test_command_ends_with_files_and_what_to_do_next(tmp_path: Path) -> None:
+    chosen = [part for setting in reduced("static", 0.1) for part in ("--set", setting)]
+    place = tmp_path / "made"
+    run = CliRunner().invoke(cli, ["simulate", "static", *chosen, "--seed", "4", "-o", str(place)])
+    assert run.exit_code == 0, run.output
+    assert f"deepgnss process {place}/rec.bin --config {place}/config.yaml" in run.output
+    for path in place.iterdir():
+        assert f"\n{path.name} " in run.output
+    assert load_scenario(place / "scenario.yaml").seed == 4
+    for missing in (["simulate"], ["simulate", "static"]):
+        refused = CliRunner().invoke(cli, missing)
+        assert refused.exit_code == 2
+        assert "Missing" in refused.stderr
+
+
 def test_an_unknown_name_lists_the_ready_ones() -> None:
     run = CliRunner().invoke(cli, ["simulate", "moon", "-o", "moon"])
     assert run.exit_code == 2
@@ -129,6 +145,21 @@ def test_a_disk_too_small_is_told_before_anything_is_written(
     with pytest.raises(OutputError, match=r"needs 8\d{7} bytes, the disk has 79999999 free"):
         write_simulation(simulation, tmp_path / "big")
     assert not (tmp_path / "big").exists()
+
+
+def test_what_the_scenario_reads_is_not_replaced(tmp_path: Path) -> None:
+    settings = reduced("static", 0.1)
+    written = write_simulation(build(load_scenario("static", settings)), tmp_path)
+    before = (tmp_path / "nav.rnx").read_bytes()
+    simulation = build(load_scenario("static", [*settings, f"satellites.nav={tmp_path}/nav.rnx"]))
+    with pytest.raises(OutputError, match=r"nav\.rnx: read by the scenario"):
+        write_simulation(simulation, tmp_path)
+    assert (tmp_path / "nav.rnx").read_bytes() == before
+    # from that file comes the same sky, to its digits (five of the ionosphere: some 10 µm)
+    again = write_simulation(simulation, tmp_path / "again")
+    one, two = (np.fromfile(made.recording, np.int8) for made in (written, again))
+    assert np.mean(one != two) < 0.01
+    assert np.abs(one.astype(int) - two).max() <= 1
 
 
 def test_show_prints_what_reads_back_the_same(tmp_path: Path) -> None:
