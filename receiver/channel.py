@@ -45,6 +45,7 @@ from deepgnss.receiver.locks import (
 from deepgnss.receiver.modes import (
     NO_AIDING,
     TRANSITIONS,
+    AidingRate,
     AidingSource,
     Mode,
     TrackingSettings,
@@ -77,8 +78,9 @@ from deepgnss.receiver.trackers import (
 
 _REMEMBERED_S = 4.0  # prompts of a frequency-locked stretch kept for bit sync
 _HYSTERESIS_DB = 2.0  # below the threshold of phase lock before it is given up
+_RETURN_DB = 1.0  # above the threshold of frequency tracking: it is taken up again
 _DOUBTED_DB = 3.0  # below the threshold of frequency tracking: a window with nothing to follow
-_ABSENT_DB = 6.0  # below that threshold: nothing is there
+_ABSENT_DB = 7.0  # below that threshold: nothing is there
 _FAINT_S = 2.5  # of frequency tracking before its C/N0 is believed
 _LOOP_PRODUCT = 0.4  # bandwidth × window: a wider code loop does not settle
 _HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
@@ -281,14 +283,7 @@ class Channel:
         self.history[-1] = self.history[-1]._replace(correction=carrier, middle_s=middle_s)
         before = advance(self._carrier, elapsed_s)
         after = corrected(before, carrier, elapsed_s - middle_s)
-        aid = aiding(command.sample + whole)
-        expected_hz = self._aiding.frequency_hz + elapsed_s * self._aiding.rate_hzps
-        self._carrier = NcoState(
-            after.phase,
-            after.frequency + aid.frequency_hz - expected_hz,
-            after.rate + aid.rate_hzps - self._aiding.rate_hzps,
-        )
-        self._aiding = aid
+        self._carrier = self._aided(after, aiding(command.sample + whole), elapsed_s)
         self._frequency_error_hz += 0.3 * (carrier.frequency - self._frequency_error_hz)
         if self._narrow_code_loop():  # a wide loop's noisy rate must not live on
             self._code_offset_hz = 0.0
@@ -303,6 +298,27 @@ class Channel:
         )
         self.periods += seen.periods.shape[0]
         self.command = self._command(command.sample + whole, chips)
+
+    def _aided(self, carrier: NcoState, aid: AidingRate, elapsed_s: float) -> NcoState:
+        """Carrier with what the prediction says has changed since the last command."""
+        was, self._aiding = self._aiding, aid
+        if NO_AIDING in (was, aid):  # it begins or ends: a loop with a rate of its own goes on
+            return carrier if self._has_own_rate else carrier._replace(rate=aid.rate_hzps)
+        step_hz = aid.frequency_hz - (was.frequency_hz + elapsed_s * was.rate_hzps)
+        if self.mode is Mode.HOLD:
+            step_hz += aid.clock_hz - was.clock_hz
+        return NcoState(
+            carrier.phase,
+            carrier.frequency + step_hz,
+            carrier.rate + aid.rate_hzps - was.rate_hzps,
+        )
+
+    @property
+    def _has_own_rate(self) -> bool:
+        settings = self.settings
+        return (self.mode is Mode.PHASE and settings.carrier_order == 3) or (
+            self.mode is Mode.WEAK and settings.frequency.order == 2
+        )
 
     def _command(self, sample: int, code_chips: float) -> NcoCommand:
         carrier, to_code = self._carrier, self.signal.carrier_to_code
@@ -384,13 +400,13 @@ class Channel:
         first = self.periods + count - taps.shape[0]
         symbols = taps.reshape(-1, size, taps.shape[1])
         sums = symbols.sum(axis=1)
+        unaided_hz = self.command.carrier_hz - self._aiding.frequency_hz
+        self._off_hz = self._watch.off_hz(symbols[:, :, 1], unaided_hz)
         power = float(np.vdot(sums[:, 1], sums[:, 1]).real) / sums.shape[0]
         signal = (power / size - self.locks.noise) / size
         lowest = 10.0 ** (0.1 * (self.settings.frequency_threshold_dbhz - _DOUBTED_DB))
         if signal < lowest * seen.period_s * self.locks.noise:
             return None
-        unaided_hz = self.command.carrier_hz - self._aiding.frequency_hz
-        self._off_hz = self._watch.off_hz(symbols[:, :, 1], unaided_hz)
         return window_of(sums, self.signal.symbol_s, self._known_signs(first, sums.shape[0]))
 
     def _known_signs(self, first: int, count: int) -> FloatArray | None:
@@ -541,10 +557,12 @@ class Channel:
                 elif (
                     self.edge is not None
                     and here_s > 0.5
-                    and back > settings.frequency_threshold_dbhz
+                    and back > settings.frequency_threshold_dbhz + _RETURN_DB
                 ):
                     self._go(Mode.WEAK, f"signal back at {back:.1f} dB-Hz")
-                elif here_s > settings.lost_after_s:
+                elif here_s > (
+                    settings.lost_after_s if self._aiding == NO_AIDING else settings.open_loop_s
+                ):
                     self._go(Mode.LOST, f"no signal for {here_s:.1f} s")
             case Mode.LOST:
                 pass
@@ -561,13 +579,15 @@ class Channel:
         recent = faint_cn0_dbhz(self.locks, self.signal.period_s)
         if self._off_hz:
             self._leave_false_lock(self._off_hz)
+        elif self._watch.suspicious:
+            pass
         elif here_s > 0.6 and recent < lowest - _ABSENT_DB:
             self._go(Mode.HOLD, f"C/N0 fell to {recent:.1f} dB-Hz")
         elif here_s > _FAINT_S and cn0 < lowest:
             self._go(Mode.HOLD, f"C/N0 {cn0:.1f} dB-Hz, too weak for the frequency")
         elif (
             here_s > 1.0
-            and cn0 > settings.phase_threshold_dbhz
+            and min(cn0, recent) > settings.phase_threshold_dbhz
             and not self._window  # one just ended
             and (self.periods - edge) % self.signal.symbol_periods == 0
         ):
@@ -637,6 +657,8 @@ class Channel:
             self._bit_sync = start_bit_sync(self.signal.secondary, coded=self._coded)
         if self.mode is Mode.HOLD:
             self._restart_code_loop(self.command.sample)
+        if mode is Mode.WEAK:  # its long average is not to begin with what was stronger
+            self.locks = self.locks._replace(seconds=0.0)
         self._frequency_error_hz = 0.0
         self.mode = mode
         self._since = self.command.sample
@@ -711,7 +733,9 @@ class Channel:
             cn0_dbhz=self.cn0_dbhz,
             doppler_hz=self.command.carrier_hz,
             carrier_lock=self.locks.phase,
-            aiding_minus_loop_hz=self._aiding.frequency_hz - self.command.carrier_hz
+            aiding_minus_loop_hz=self._aiding.frequency_hz
+            + self._aiding.clock_hz
+            - self.command.carrier_hz
             if self._aiding != NO_AIDING
             else 0.0,
             lock_time_s=self._seconds_since(self._phase_since) if self._phase_valid else 0.0,

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepgnss.core.loops import loop_gains
 from deepgnss.core.records import ComplexArray, FloatArray
 from deepgnss.receiver.locks import shifted_powers
 from deepgnss.receiver.modes import FrequencySettings
@@ -30,8 +29,9 @@ from deepgnss.receiver.spectral import (
 from deepgnss.receiver.trackers import Accumulated, Correction, accumulate
 
 _WATCHED_S = 1.6  # of windows that a false lock is judged by
-_FAR_RATIO = 8.0  # a line that far above the middle ones, in the noise of a line
-_SHIFT_SIGMAS = 3.0  # by which a shifted sum must be stronger
+_FAR_RATIO = 15.0  # a line that far above the middle ones, in the mean noise of a window's line
+_SHIFT_SIGMAS = 3.0  # by which a shifted sum must be stronger …
+_SUSPECT_SIGMAS = 1.5  # … and by which it may be, another window will tell
 
 Discriminator = Callable[[ComplexArray, float], Tone]
 
@@ -63,12 +63,13 @@ def always_squares(discriminator: str) -> bool:
 class SpectralLock:
     """Frequency lock on the tone in a window of symbol sums; squares where they have symbols.
 
-    Order 1 with a bandwidth of ½/window puts what it sees straight into the generator, T 3.2.1.
+    Order 1 with gain 1 puts what it sees straight into the generator, T 3.2.1; order 2 follows a
+    steady change of frequency without lag (α-β filter of Benedict and Bordner, 1962).
     """
 
     discriminate: Discriminator
-    order: int
-    bandwidth_hz: float
+    order: int = 1
+    gain: float = 1.0
     phase: bool = False
 
     def tone(self, seen: Accumulated) -> Tone:
@@ -82,11 +83,11 @@ class SpectralLock:
     def correct(self, seen: Accumulated) -> Correction:
         """Frequency, its rate (order 2) and, when wanted, phase."""
         tone = self.tone(seen)
-        gains = loop_gains(self.order, self.bandwidth_hz, seen.seconds)
+        rate_gain = self.gain**2 / (2.0 - self.gain) if self.order == 2 else 0.0
         return Correction(
             tone.phase_cycles if self.phase else 0.0,
-            gains.phase * tone.frequency_hz,
-            gains.frequency * tone.frequency_hz,
+            self.gain * tone.frequency_hz,
+            rate_gain / seen.seconds * tone.frequency_hz,
         )
 
     def straightened(self, seen: Accumulated) -> Accumulated:
@@ -103,7 +104,12 @@ def spectral_lock(settings: FrequencySettings) -> SpectralLock:
     discriminate = _DISCRIMINATORS.get(
         settings.discriminator, partial(fft_tone, bins=settings.bins)
     )
-    return SpectralLock(discriminate, settings.order, settings.bandwidth_hz, settings.phase)
+    return SpectralLock(discriminate, settings.order, settings.gain, settings.phase)
+
+
+def noise_bandwidth_hz(settings: FrequencySettings) -> float:
+    """One-sided noise bandwidth of the frequency it tracks (as if of order 1)."""
+    return 0.5 * settings.gain / ((2.0 - settings.gain) * settings.window_s)
 
 
 def window_of(symbols: ComplexArray, symbol_s: float, signs: FloatArray | None) -> Accumulated:
@@ -133,11 +139,13 @@ class LockWatch:
         self.step_hz = 0.5 / symbol_s
         self._inside = bins // 2
         self._line_hz = 0.5 / window_s
+        self.suspicious = False  # a shift may be stronger: the signal's power is not to be believed
         self._glances: deque[Glance] = deque(maxlen=max(1, round(_WATCHED_S / window_s)))
 
     def clear(self) -> None:
         """Start anew: the generator was moved."""
         self._glances.clear()
+        self.suspicious = False
 
     def off_hz(self, prompts: ComplexArray, frequency_hz: float) -> float:
         """How far the generator is to be moved, Hz; 0 while nothing speaks for it.
@@ -152,12 +160,17 @@ class LockWatch:
         return self._shift_hz() or self._far_hz(frequency_hz)
 
     def _shift_hz(self) -> float:
-        gains = np.concatenate([glance.gains for glance in self._glances], axis=1)
-        spread = gains.std(axis=1) / math.sqrt(gains.shape[1])
-        side = int(np.argmax(gains.mean(axis=1)))
-        if gains[side].mean() <= _SHIFT_SIGMAS * spread[side]:
-            return 0.0
-        return self.step_hz if side else -self.step_hz
+        """From the last window, or the last two, …: the generator may have slipped just now."""
+        gains = np.empty((2, 0))
+        self.suspicious = False
+        for glance in reversed(self._glances):
+            gains = np.concatenate([gains, glance.gains], axis=1)
+            mean, spread = gains.mean(axis=1), gains.std(axis=1) / math.sqrt(gains.shape[1])
+            side = int(np.argmax(mean))
+            if mean[side] > _SHIFT_SIGMAS * spread[side]:
+                return self.step_hz if side else -self.step_hz
+            self.suspicious |= bool(mean[side] > _SUSPECT_SIGMAS * spread[side])
+        return 0.0
 
     def _far_hz(self, frequency_hz: float) -> float:
         """From the lines of several windows, each moved by what the generator has moved since."""
@@ -168,7 +181,7 @@ class LockWatch:
             )
         middle, best = total.size // 2, int(np.argmax(total))
         near = total[max(0, middle - self._inside) : middle + self._inside + 1]
-        noise = np.median(total) / len(self._glances)
-        if total[best] - near.max() <= _FAR_RATIO * noise * math.sqrt(len(self._glances)):
+        noise = np.median(total) / (len(self._glances) - 0.31)  # median of their gamma law
+        if total[best] - near.max() <= _FAR_RATIO * noise:
             return 0.0
         return (best - middle) * self._line_hz

@@ -38,7 +38,7 @@ class FrequencySettings:
     bins: int = 3  # of pfft and psfft
     window_s: float = 0.32
     order: int = 2
-    bandwidth_hz: float = 0.4
+    gain: float = 0.3  # of the frequency seen that goes to the generator; T 3.2.1: 1, order 1
     phase: bool = False  # take the phase from the peak as well
 
 
@@ -54,7 +54,8 @@ class TrackingSettings:
     spacing_chips: float = 0.25  # early to late
     phase_threshold_dbhz: float = 28.0
     frequency_threshold_dbhz: float = 18.0
-    lost_after_s: float = 3.0
+    lost_after_s: float = 3.0  # without a signal, when nothing else tells where it is …
+    open_loop_s: float = 60.0  # … and with aiding
     frequency_bandwidth_hz: float = 1.5
     pull_in_bandwidth_hz: float = 8.0
     pull_in_s: float = 0.12
@@ -68,10 +69,15 @@ def lowest_frequency_lock_dbhz(phase_threshold_dbhz: float) -> float:
 
 
 class AidingRate(NamedTuple):
-    """Predicted carrier frequency at a sample and its slope; zeros when there is no aiding."""
+    """Predicted carrier frequency at a sample and its slope; zeros when there is no aiding.
+
+    A closed loop takes changes of the frequency only, and finds the receiver's clock by itself;
+    in open loop the clock's part of the carrier counts as well.
+    """
 
     frequency_hz: float
     rate_hzps: float
+    clock_hz: float = 0.0
 
 
 NO_AIDING = AidingRate(0.0, 0.0)
