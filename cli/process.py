@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +25,7 @@ from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.errors import RecordingError
 from deepgnss.core.records import STAGES, NavSolution, SatelliteOutcome
 from deepgnss.deep.consistency import TOLERATED_MPS, check_agreement, check_week
+from deepgnss.deep.coupled import CoupledNavigation, couple
 from deepgnss.deep.engine import Engine, ScoutPass, workers
 from deepgnss.deep.outputs import FILES, Outputs
 from deepgnss.deep.setup import RunPlan, limits, plan_run
@@ -33,6 +34,7 @@ from deepgnss.io.folder import prepare_folder, written
 from deepgnss.io.formats import StreamFormat
 from deepgnss.io.metadata import open_recording
 from deepgnss.io.recording import Recording
+from deepgnss.receiver.clock import ReceiverClock
 from deepgnss.receiver.receiver import Knowledge, StepResult
 
 if TYPE_CHECKING:  # loaded when it is needed: pandas takes half a second
@@ -113,7 +115,9 @@ class _Run:
                 self._stage("processing"),
                 _interruptible(f"what was written so far ends in .part in {folder}"),
             ):
-                engine = Engine(self.plan, self.recording, knowledge, executor)
+                engine = Engine(
+                    self.plan, self.recording, knowledge, executor, couple=self._couple()
+                )
                 outputs = self._process(engine, knowledge)
         outcomes = engine.receiver.accounts.outcomes
         horizontal = None
@@ -129,6 +133,19 @@ class _Run:
         why = why_no_position(outcomes, self.plan.seconds)
         self.screen.note(f"error: {self.path}: no position: {why}")
         return False
+
+    def _couple(self) -> Callable[[ReceiverClock], CoupledNavigation] | None:
+        """What joins the inertial navigation to the receiver, None where there is none."""
+        if self.config.imu is None or not self.config.deep.enabled:
+            return None
+
+        def made(clock: ReceiverClock) -> CoupledNavigation:
+            coupled = couple(self.config, self.plan, clock)
+            for line in coupled.notes:
+                self.screen.note(f"note: {line}")
+            return coupled
+
+        return made
 
     def _process(self, engine: Engine, knowledge: Knowledge) -> Outputs:
         with Outputs(self.config, self.plan, knowledge) as outputs:

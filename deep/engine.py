@@ -9,17 +9,19 @@ beginning decodes time and ephemerides first.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Protocol
 
 from deepgnss.core.records import NavSolution, SampleBlock
+from deepgnss.deep.coupled import NO_AIDS, CoupledNavigation
+from deepgnss.deep.navigation import NavigationState
 from deepgnss.deep.setup import Covered, RunPlan
+from deepgnss.receiver.clock import ReceiverClock
 from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.framing import known_symbols
-from deepgnss.receiver.modes import AidingSource
 from deepgnss.receiver.receiver import Knowledge, Receiver, StepResult
 
 _SCOUT_LIMIT_S = 120.0
@@ -44,11 +46,18 @@ class Engine:
         knowledge: Knowledge,
         executor: Executor | None,
         block_s: float | None = None,
+        couple: Callable[[ReceiverClock], CoupledNavigation] | None = None,
     ) -> None:
-        """`block_s`: how much is read at a time; no result depends on it."""
+        """`block_s`: how much is read at a time; no result depends on it.
+
+        couple: makes the inertial navigation once the receiver's clock is known.
+        """
         self._plan = plan
         self._source = source
         self._block_s = block_s
+        self._couple = couple
+        self.coupled: CoupledNavigation | None = None
+        self.navigated: list[NavigationState] = []  # at the tags of the last step
         self.receiver = Receiver(
             [(kind, c.stream.sample_rate_hz) for c in plan.covered for kind in c.kinds],
             plan.settings,
@@ -57,7 +66,7 @@ class Engine:
             plan.threads,
         )
 
-    def steps(self, aiding: Mapping[str, AidingSource] | None = None) -> Iterator[StepResult]:
+    def steps(self) -> Iterator[StepResult]:
         """Run epoch by epoch to the end of the plan."""
         plan = self._plan
         rate = plan.stream.sample_rate_hz
@@ -66,8 +75,19 @@ class Engine:
         while first < plan.end:
             epoch += 1
             end = min(plan.first + round(epoch * plan.epoch_s * rate), plan.end)
-            yield self.receiver.step(feeds, first, end, aiding)
+            yield self._step(feeds, first, end)
             first = end
+
+    def _step(self, feeds: Mapping[str, SumFeed], first: int, end: int) -> StepResult:
+        """Predict, receive, observe, correct: the circle closes here."""
+        receiver, clock = self.receiver, self.receiver.clock
+        if self._couple is not None and clock is not None and receiver.steered:
+            self.coupled = self.coupled or self._couple(clock)
+        coupled = self.coupled
+        aids = coupled.before(receiver, first, end) if coupled is not None else NO_AIDS
+        result = receiver.step(feeds, first, end, aids.profiles, aids.place)
+        self.navigated = coupled.after(receiver, result) if coupled is not None else []
+        return result
 
     def _feed(self, covered: Covered) -> SumFeed:
         stream = covered.stream

@@ -136,6 +136,11 @@ class Receiver:
         self._events: list[Event] = []
 
     @property
+    def steered(self) -> bool:
+        """Whether a solution has set the clock: tags then mean GPST."""
+        return self._steered
+
+    @property
     def channels(self) -> list[Channel]:
         """All channels, bank by bank in the order of PRNs."""
         return [channel for bank in self.banks for channel in bank.tracked()]

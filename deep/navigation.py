@@ -1,0 +1,209 @@
+"""The inertial navigation beside the receiver: fixes in, predictions out, epoch by epoch.
+
+It stands at the last tag that was corrected. Before an epoch it looks ahead through the epoch's
+increments, which gives the loops their aiding; after it, it goes on to the epoch's tags and takes
+their fixes. It starts once the fixes show an attitude, stops when its filter fails, and starts
+anew by itself; meanwhile the receiver runs unaided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deepgnss.core.errors import NumericalError
+from deepgnss.core.frames import C_ne
+from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade
+from deepgnss.core.time import GpsTime
+from deepgnss.ins import (
+    Alignment,
+    AlignmentSettings,
+    Estimate,
+    GnssFix,
+    Settings,
+    Trajectory,
+    WheelSpeeds,
+    fix_of,
+    process_noise,
+)
+from deepgnss.ins.increments import SAME_INSTANT_S, between, rows
+from deepgnss.ins.integration import Coupling, InsEvent, Instant
+from deepgnss.ins.updates import Innovation
+from deepgnss.receiver.receiver import Fix
+
+_REMEMBERED_S = 60.0  # fixes kept for an alignment
+_TRY_EVERY_S = 1.0  # between alignments tried
+
+
+@dataclass(frozen=True, slots=True)
+class InertialInputs:
+    """What the navigation is made from."""
+
+    block: ImuBlock  # the whole log: some 60 bytes per increment
+    grade: ImuGrade
+    alignment: AlignmentSettings
+    settings: Settings
+    wheels: WheelSpeeds | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NavigationState:
+    """The navigation at a tag, for files and for whoever predicts from it."""
+
+    time: GpsTime
+    estimate: Estimate
+    antenna_r_e_m: FloatArray  # (3,)
+    antenna_v_e_mps: FloatArray  # (3,)
+    antenna_covariance: FloatArray  # (6, 6) of its position and velocity, NED
+
+
+class Navigation:
+    """A causal inertial navigation: nothing in it knows more than the tags it has been given."""
+
+    def __init__(self, inputs: InertialInputs) -> None:
+        self._inputs = inputs
+        self._noise = process_noise(inputs.grade)
+        self._fixes: list[GnssFix] = []
+        self._coupling: Coupling | None = None
+        self._not_before_s = -np.inf  # of an alignment, since the block's origin
+        self._next_try_s = -np.inf
+        self._reason = ""
+        self._logged = 0
+        self.events: list[InsEvent] = []
+
+    @property
+    def running(self) -> bool:
+        """Whether there is a navigation now."""
+        return self._coupling is not None
+
+    @property
+    def innovations(self) -> Sequence[Innovation]:
+        """Of all measurements since the last start."""
+        return self._coupling.innovations if self._coupling else ()
+
+    # --- before an epoch ---------------------------------------------------------------------
+
+    def ahead(self, until: GpsTime) -> Trajectory | None:
+        """The way from the last tag to an instant by the increments alone."""
+        if self._coupling is None:
+            return None
+        until_s = until.since(self._inputs.block.origin)
+        try:
+            trajectory = self._coupling.look_ahead(until_s)
+        except NumericalError as error:
+            self._stop(until_s, str(error))
+            return None
+        short_s = until_s - float(trajectory.time_s[-1])
+        if trajectory.time_s.size < 3 or short_s > 1.0:
+            return None  # within a gap, or past the log's end: unaided until it is over
+        return trajectory
+
+    # --- after it ----------------------------------------------------------------------------
+
+    def take(self, fixes: Sequence[Fix]) -> list[NavigationState]:
+        """Go on to the tags of an epoch with what they hold; the states there."""
+        states = []
+        for fix in fixes:
+            gnss = fix_of(fix.solution) if fix.solution.valid else None
+            if gnss is not None and not np.isfinite(fix.solution.v_e_mps).all():
+                gnss = replace(gnss, v_n_mps=None, velocity_covariance_n_m2ps2=None)
+            if gnss is not None:
+                self._remember(gnss)
+            time_s = fix.epoch.time.since(self._inputs.block.origin)
+            if self._coupling is None:
+                self._align(time_s)
+                continue
+            self._go_on(self._coupling, time_s, gnss)
+            if self._coupling is not None:
+                states.append(self._state(self._coupling))
+        return states
+
+    def _go_on(self, coupling: Coupling, time_s: float, gnss: GnssFix | None) -> None:
+        epoch_s = self._inputs.settings.epoch_s
+        constrained = round(time_s / epoch_s, 6) % 1.0 == 0.0
+        speed = self._speed(coupling.time_s, time_s)
+        failed_s = coupling.through([Instant(time_s, gnss, None, speed, constrained)])
+        self._hand_on(coupling)
+        if failed_s is not None:
+            self._coupling = None
+            self._not_before_s = max(failed_s, time_s)
+
+    def _speed(self, after_s: float, until_s: float) -> float | None:
+        """Latest wheel speed of an epoch."""
+        wheels = self._inputs.wheels
+        if wheels is None or wheels.time_s.size == 0:
+            return None
+        shift_s = wheels.origin.since(self._inputs.block.origin)
+        k = int(np.searchsorted(wheels.time_s + shift_s, until_s + SAME_INSTANT_S)) - 1
+        if k < 0 or wheels.time_s[k] + shift_s <= after_s:
+            return None
+        return float(wheels.speed_mps[k])
+
+    def _state(self, coupling: Coupling) -> NavigationState:
+        estimate, antenna = coupling.estimate, coupling.antenna()
+        H = np.vstack([antenna.H_position, antenna.H_velocity])
+        to_e = C_ne(estimate.ins.lat_rad, estimate.ins.lon_rad).T
+        return NavigationState(
+            estimate.ins.time,
+            estimate,
+            antenna.r_e_m,
+            to_e @ antenna.v_n_mps,
+            H @ estimate.P @ H.T,
+        )
+
+    # --- start and stop ----------------------------------------------------------------------
+
+    def _remember(self, fix: GnssFix) -> None:
+        self._fixes.append(fix)
+        while fix.time.since(self._fixes[0].time) > _REMEMBERED_S:
+            self._fixes.pop(0)
+
+    def _align(self, now_s: float) -> None:
+        """Try to find an attitude from the fixes so far and the increments that go with them."""
+        if now_s < self._next_try_s or len(self._fixes) < 3:
+            return
+        self._next_try_s = now_s + _TRY_EVERY_S
+        inputs = self._inputs
+        origin = inputs.block.origin
+        fixes = [f for f in self._fixes if f.time.since(origin) >= self._not_before_s]
+        if len(fixes) < 3:
+            return
+        first_s = fixes[0].time.since(origin)
+        piece = between(inputs.block, first_s - 1.0, fixes[-1].time.since(origin))
+        align = Alignment(piece, fixes, inputs.grade, inputs.alignment, inputs.settings.standstill)
+        begin_s = float(piece.time_s[0] - piece.dt_s[0]) if piece.time_s.size else first_s
+        anew = np.isfinite(self._not_before_s)
+        found = align(first_s if anew else begin_s)
+        if isinstance(found, str):
+            if found != self._reason:
+                self.events.append(InsEvent(now_s, "not aligned", found))
+            self._reason = found
+            return
+        self._coupling = Coupling(inputs.block, self._noise, inputs.settings)
+        self._coupling.begin(found)
+        self._logged, self._reason = 0, ""
+        started_s = found.ins.time.since(origin)
+        later = [f for f in fixes if f.time.since(origin) > started_s + SAME_INSTANT_S]
+        failed_s = self._coupling.through(
+            [Instant(f.time.since(origin), f, None, None, False) for f in later]
+        )
+        self._hand_on(self._coupling)
+        if failed_s is not None:
+            self._coupling = None
+            self._not_before_s = now_s
+
+    def _stop(self, at_s: float, reason: str) -> None:
+        self.events.append(InsEvent(at_s, "stopped", reason))
+        self._coupling = None
+        self._not_before_s = at_s
+
+    def _hand_on(self, coupling: Coupling) -> None:
+        self.events.extend(coupling.events[self._logged :])
+        self._logged = len(coupling.events)
+
+
+def increments_until(block: ImuBlock, time_s: float) -> ImuBlock:
+    """Increments that end by an instant, s since the block's origin."""
+    return rows(block, 0, int(np.searchsorted(block.time_s, time_s + SAME_INSTANT_S)))
