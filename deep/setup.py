@@ -17,7 +17,7 @@ from deepgnss.io.config import Config
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.receiver.acquisition import AcquisitionSettings
 from deepgnss.receiver.clock import NS
-from deepgnss.receiver.modes import TrackingSettings, lowest_frequency_lock_dbhz
+from deepgnss.receiver.modes import FrequencySettings, TrackingSettings
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.receiver import Knowledge, ReceiverSettings
 from deepgnss.receiver.signals import SIGNALS, Signal
@@ -123,6 +123,7 @@ def _covered(config: Config, streams: tuple[StreamInfo, ...]) -> tuple[Covered, 
 def receiver_settings(config: Config) -> ReceiverSettings:
     """Settings of the receiver from the config's tracking, acquisition, positioning, output."""
     tracking, positioning, acquisition = config.tracking, config.positioning, config.acquisition
+    frequency = tracking.frequency
     return ReceiverSettings(
         tracking=TrackingSettings(
             carrier_order=int(tracking.carrier.loop[-1]),
@@ -135,6 +136,14 @@ def receiver_settings(config: Config) -> ReceiverSettings:
             frequency_threshold_dbhz=tracking.thresholds.frequency,
             lost_after_s=tracking.thresholds.lost_after,
             record_correlations=config.output.correlations,
+            frequency=FrequencySettings(
+                discriminator=frequency.discriminator,
+                bins=frequency.bins,
+                window_s=frequency.window,
+                order=frequency.order,
+                gain=frequency.gain,
+                phase=frequency.phase,
+            ),
         ),
         acquisition=AcquisitionSettings(
             doppler_max_hz=acquisition.doppler_max,
@@ -149,6 +158,7 @@ def receiver_settings(config: Config) -> ReceiverSettings:
             raim=positioning.raim,
         ),
         smoothing=positioning.smoothing,
+        solve_between_outputs=config.imu is not None and config.deep.enabled,
         output_ns=round(config.output.interval * NS),
         solution_ns=round(config.deep.epoch * NS),
     )
@@ -157,13 +167,6 @@ def receiver_settings(config: Config) -> ReceiverSettings:
 def limits(config: Config) -> tuple[str, ...]:
     """Lines to print before a run: settings that this receiver cannot follow to the letter."""
     lines = []
-    thresholds = config.tracking.thresholds
-    lowest = lowest_frequency_lock_dbhz(thresholds.phase)
-    if thresholds.frequency < lowest and "frequency" in thresholds.model_fields_set:
-        lines.append(
-            f"tracking.thresholds.frequency: frequency lock ends at {lowest:g} dB-Hz in this "
-            f"version, not at {thresholds.frequency:g}"
-        )
     positioning = config.positioning
     if positioning.outliers.enabled and "outliers" in positioning.model_fields_set:
         lines.append("positioning.outliers: needs inertial aiding; this run relies on RAIM")

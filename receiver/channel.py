@@ -642,7 +642,7 @@ class Channel:
     def _go(self, mode: Mode, reason: str) -> None:
         if mode not in TRANSITIONS[self.mode]:
             raise ValueError(f"{self.satellite}: no way from {self.mode.name} to {mode.name}")
-        if self.mode is Mode.PHASE:
+        if self.mode in (Mode.PHASE, Mode.HOLD):
             self._forget_phase()
         if mode is Mode.PHASE and self.edge is not None:
             self._look_back(self.edge)

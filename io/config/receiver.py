@@ -109,13 +109,40 @@ class CodeConfig(Section):
         return self
 
 
+class FrequencyConfig(Section):
+    """Frequency tracking of signals too weak for their phase (T 3.2–3.4)."""
+
+    discriminator: Literal[
+        "fft", "sfft", "pfft", "psfft", "early_late", "refinement", "two_stage"
+    ] = "pfft"
+    """Spectrum of a window of symbols: all its lines (fft, sfft), the few about zero (pfft, psfft)
+    or three close ones (early_late, refinement, two_stage). Symbols known beforehand are stripped,
+    others squared away; sfft and psfft always square."""
+    bins: Annotated[int, Quantity(1, 25, "lines", whole=True)] = 3
+    """Lines searched by pfft and psfft, an odd number; each is 1/window wide, half that squared."""
+    window: Annotated[float, Quantity(0.064, 0.512, "s")] = 0.320
+    """Length of a window, s; whole symbols of it are used."""
+    order: Literal[1, 2] = 2
+    """1: frequency; 2: frequency and its rate, no lag behind steady changes."""
+    gain: Annotated[float, Quantity(0.0, 1.0, "", above=True)] = 0.3
+    """Share of the frequency seen that goes to the generator; T 3.2.1: 1 with order 1."""
+    phase: Switch = False
+    """Take the phase from the peak as well T(3.8); carrier phases stay invalid all the same."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if self.bins % 2 == 0:
+            raise misfit("expected an odd number: as many lines above zero as below", "bins")
+        return self
+
+
 class ThresholdsConfig(Section):
     """When a channel changes its mode (T figures 5.2, 5.3)."""
 
     phase: Annotated[float, Quantity(10.0, 60.0, "dB-Hz")] = 28.0
     """T3: the phase is tracked above, dB-Hz."""
     frequency: Annotated[float, Quantity(5.0, 60.0, "dB-Hz")] = 18.0
-    """T4: the frequency is tracked above, dB-Hz."""
+    """T4: the frequency is tracked above, dB-Hz (before bit sync not below 24)."""
     lost_after: Annotated[float, Quantity(0.0, 600.0, "s", above=True)] = 3.0
     """T2: a signal gone for this long is searched anew, s."""
 
@@ -131,6 +158,7 @@ class TrackingConfig(Section):
 
     carrier: CarrierConfig = CarrierConfig()
     code: CodeConfig = CodeConfig()
+    frequency: FrequencyConfig = FrequencyConfig()
     thresholds: ThresholdsConfig = ThresholdsConfig()
 
 

@@ -15,6 +15,7 @@ from deepgnss.core.time import GpsTime
 from deepgnss.deep.consistency import check_nav_date
 from deepgnss.deep.setup import plan_run
 from deepgnss.io.config import Config
+from deepgnss.receiver.modes import FrequencySettings
 from deepgnss.sim.constellation import nominal_gps
 
 L1_HZ = 1575.42e6
@@ -64,6 +65,14 @@ def test_settings_arrive_where_they_belong() -> None:
             tracking={
                 "carrier": {"loop": "pll2", "bandwidth": 11.0, "coherent": 0.010},
                 "code": {"order": 1, "bandwidth": [2.5, 0.4], "spacing": 0.6, "coherent": 0.010},
+                "frequency": {
+                    "discriminator": "sfft",
+                    "bins": 7,
+                    "window": 0.25,
+                    "order": 1,
+                    "gain": 0.7,
+                    "phase": True,
+                },
                 "thresholds": {"phase": 31.0, "frequency": 21.0, "lost_after": 4.5},
             },
             acquisition={
@@ -91,6 +100,7 @@ def test_settings_arrive_where_they_belong() -> None:
     assert (tracking.code_order, tracking.code_bandwidths_hz) == (1, (2.5, 0.4))
     assert (tracking.phase_threshold_dbhz, tracking.frequency_threshold_dbhz) == (31.0, 21.0)
     assert tracking.lost_after_s == 4.5
+    assert tracking.frequency == FrequencySettings("sfft", 7, 0.25, 1, 0.7, True)
     assert tracking.record_correlations
     assert (search.doppler_max_hz, search.false_alarm) == (7500.0, 0.002)
     assert (search.coherent_s, search.noncoherent) == (0.004, 6)

@@ -234,6 +234,10 @@ S = "recording.streams[0]"
         ("tracking.code.bandwidth=[5, 4, 3, 2, 1]", ("at most 4",)),
         ("tracking.code.spacing=2", ("0.02 to 1 chips",)),
         ("tracking.thresholds.frequency=30", ("28 dB-Hz",)),
+        ("tracking.frequency.bins=4", ("odd number",)),
+        ("tracking.frequency.window=320", ("0.064 to 0.512 s", "0.32")),
+        ("tracking.frequency.discriminator=sftt", ("psfft",)),
+        ("tracking.frequency.gain=0", ("above 0",)),
         ("positioning.elevation_mask=95", ("0 to 89 deg",)),
         ("positioning.elevation_mask=0.1745", ("radians",)),
         ("positioning.outliers.alpha=0", ("above 0",)),
@@ -317,7 +321,7 @@ def test_unknown_keys_are_guessed(tmp_path):
         ("tracking.carrier.bandwith=4", "did you mean 'bandwidth'"),
         ("Tracking={}", "did you mean 'tracking'"),
         ("elevation_mask=3", "belongs under 'positioning'"),
-        ("tracking.zzz=3", "known here: carrier, code, thresholds"),
+        ("tracking.zzz=3", "known here: carrier, code, frequency, thresholds"),
     ):
         (line,) = refusal(tmp_path, setting)
         assert setting.partition("=")[0] + ": unknown key" in line and guess in line
