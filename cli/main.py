@@ -41,6 +41,7 @@ _COMMANDS = {
     "process": "Process a recording: observations, positions, reports.",
     "info": "Look at a recording: level, spectrum, satellites, what may be wrong.",
     "snapshot": "Position from milliseconds of recording and a NAV file.",
+    "ins": "Couple an inertial log and a GNSS solution.",
     "simulate": "Make a recording with known truth.",
     "reproduce": "Measure the published figures again.",
     "config": "Check, show or explain a configuration.",
