@@ -33,7 +33,6 @@ from deepgnss.receiver.known_symbols import KnownSymbols, signs
 from deepgnss.receiver.locks import (
     FAINT_S,
     NO_LOCK,
-    USUAL_S,
     cn0_dbhz,
     faint_cn0_dbhz,
     false_lock_side,
@@ -41,6 +40,7 @@ from deepgnss.receiver.locks import (
     recent_cn0_dbhz,
     restart_phase,
     update_locks,
+    update_powers,
 )
 from deepgnss.receiver.modes import (
     NO_AIDING,
@@ -255,6 +255,8 @@ class Channel:
             return self._taken
         signal, count = self.signal, self._taken.shape[0]
         size = signal.symbol_periods
+        if not self._coded and count <= size:
+            return self._taken
         signs = np.resize(np.roll(signal.secondary, (self.edge - self.periods) % size), count)
         if count > size:
             symbols = (self._taken[:, 1] * signs).reshape(-1, size).sum(axis=1)
@@ -392,8 +394,7 @@ class Channel:
         count, size = seen.periods.shape[0], self.signal.symbol_periods
         if count % size:  # up to the first symbol edge
             return None
-        chips = np.resize(self.signal.secondary, count)
-        self._window.append(self._taken * chips[:, np.newaxis])
+        self._window.append(seen.periods if count == size else self._taken)
         if len(self._window) < self._window_updates:
             return None
         taps, self._window = np.concatenate(self._window), []
@@ -426,8 +427,10 @@ class Channel:
     def _detect(self, seen: Accumulated) -> None:
         symbol = self._whole_symbol(seen)
         if symbol is not None:
-            slow_s = FAINT_S if self.mode is Mode.WEAK else USUAL_S
-            self.locks = update_locks(self.locks, symbol, slow_s, self.signal.symbol_periods)
+            if self.mode is Mode.WEAK:
+                self.locks = update_powers(self.locks, symbol, FAINT_S)
+            else:
+                self.locks = update_locks(self.locks, symbol, self.signal.symbol_periods)
         if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
             return
         if not self._heard:
@@ -574,8 +577,9 @@ class Channel:
 
     def _watch_frequency(self, here_s: float, cn0: float) -> None:
         settings = self.settings
-        edge = self.edge or 0
         lowest = settings.frequency_threshold_dbhz
+        if self._window:  # in the midst of one
+            return
         recent = faint_cn0_dbhz(self.locks, self.signal.period_s)
         if self._off_hz:
             self._leave_false_lock(self._off_hz)
@@ -588,8 +592,7 @@ class Channel:
         elif (
             here_s > 1.0
             and min(cn0, recent) > settings.phase_threshold_dbhz
-            and not self._window  # one just ended
-            and (self.periods - edge) % self.signal.symbol_periods == 0
+            and (self.periods - (self.edge or 0)) % self.signal.symbol_periods == 0
         ):
             self._go(Mode.PHASE, f"strong enough for the phase, {cn0:.1f} dB-Hz")
 

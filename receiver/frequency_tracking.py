@@ -124,7 +124,9 @@ class Glance(NamedTuple):
 
     frequency_hz: float  # of the generator, less its aiding
     powers: FloatArray  # of all lines of the window's squares
-    gains: FloatArray  # (2, n) power gained by each symbol when shifted down, up
+    symbols: int
+    gain: tuple[float, float]  # sums of what each symbol's power gains when shifted down, up
+    square: tuple[float, float]  # and of its squares
 
 
 class LockWatch:
@@ -137,9 +139,9 @@ class LockWatch:
     def __init__(self, symbol_s: float, window_s: float, bins: int) -> None:
         """`bins`: lines about the middle where the discriminator finds the tone itself."""
         self.step_hz = 0.5 / symbol_s
+        self.suspicious = False  # a shift may be stronger: the signal's power is not to be believed
         self._inside = bins // 2
         self._line_hz = 0.5 / window_s
-        self.suspicious = False  # a shift may be stronger: the signal's power is not to be believed
         self._glances: deque[Glance] = deque(maxlen=max(1, round(_WATCHED_S / window_s)))
 
     def clear(self) -> None:
@@ -153,35 +155,49 @@ class LockWatch:
         Parameters: prompts of whole symbols (n, periods) without their secondary code; the
         generator's frequency less its aiding.
         """
+        shifted = shifted_powers(prompts)
+        gains = shifted[:, ::2] - shifted[:, 1:2]
+        down, up = gains.sum(axis=0).tolist()
+        down_square, up_square = (gains * gains).sum(axis=0).tolist()
         sums = prompts.sum(axis=1)
-        down, same, up = shifted_powers(prompts).T
-        powers = np.abs(np.fft.fftshift(np.fft.fft(sums * sums))) ** 2
-        self._glances.append(Glance(frequency_hz, powers, np.stack([down - same, up - same])))
+        lines = np.fft.fft(sums * sums)
+        self._glances.append(
+            Glance(
+                frequency_hz,
+                lines.real**2 + lines.imag**2,
+                sums.size,
+                (down, up),
+                (down_square, up_square),
+            )
+        )
         return self._shift_hz() or self._far_hz(frequency_hz)
 
     def _shift_hz(self) -> float:
         """From the last window, or the last two, …: the generator may have slipped just now."""
-        gains = np.empty((2, 0))
         self.suspicious = False
-        for glance in reversed(self._glances):
-            gains = np.concatenate([gains, glance.gains], axis=1)
-            mean, spread = gains.mean(axis=1), gains.std(axis=1) / math.sqrt(gains.shape[1])
-            side = int(np.argmax(mean))
-            if mean[side] > _SHIFT_SIGMAS * spread[side]:
-                return self.step_hz if side else -self.step_hz
-            self.suspicious |= bool(mean[side] > _SUSPECT_SIGMAS * spread[side])
+        for side in range(2):
+            count, gain, square = 0, 0.0, 0.0
+            for glance in reversed(self._glances):
+                count += glance.symbols
+                gain += glance.gain[side]
+                square += glance.square[side]
+                if gain <= 0.0:
+                    continue
+                sigma = math.sqrt(max(square - gain * gain / count, 0.0))  # of the sum
+                if gain > _SHIFT_SIGMAS * sigma:
+                    return self.step_hz if side else -self.step_hz
+                self.suspicious |= gain > _SUSPECT_SIGMAS * sigma
         return 0.0
 
     def _far_hz(self, frequency_hz: float) -> float:
         """From the lines of several windows, each moved by what the generator has moved since."""
         total = np.zeros(self._glances[-1].powers.size)
         for glance in self._glances:
-            total += np.roll(
-                glance.powers, round((glance.frequency_hz - frequency_hz) / self._line_hz)
-            )
-        middle, best = total.size // 2, int(np.argmax(total))
-        near = total[max(0, middle - self._inside) : middle + self._inside + 1]
-        noise = np.median(total) / (len(self._glances) - 0.31)  # median of their gamma law
-        if total[best] - near.max() <= _FAR_RATIO * noise:
+            lines = round((glance.frequency_hz - frequency_hz) / self._line_hz)
+            total += np.roll(glance.powers, lines) if lines else glance.powers
+        size, best = total.size, int(total.argmax())
+        inside = np.arange(-min(self._inside, size // 2), min(self._inside, size // 2) + 1)
+        noise = np.sort(total)[size // 2] / (len(self._glances) - 0.31)  # median of a gamma law
+        if total[best] - total[inside].max() <= _FAR_RATIO * noise:
             return 0.0
-        return (best - middle) * self._line_hz
+        return (best - size if 2 * best >= size else best) * self._line_hz

@@ -60,10 +60,8 @@ def shifted_powers(symbols: ComplexArray) -> FloatArray:
     return np.asarray(sums.real**2 + sums.imag**2)
 
 
-def update_locks(
-    state: LockState, seen: Accumulated, slow_s: float = USUAL_S, symbol_periods: int = 0
-) -> LockState:
-    """Take one interval, of one symbol or of several so long, into the averages.
+def update_powers(state: LockState, seen: Accumulated, slow_s: float = USUAL_S) -> LockState:
+    """Take one interval into the averages of signal and noise.
 
     Inside a symbol the signal's power is that of the coherent sum less its noise, the noise that
     of the scatter about the mean; the ratio of narrow- to wide-band power, T(5.9–5.15), written
@@ -74,37 +72,47 @@ def update_locks(
     if count < 2:
         return state
     wide = float(np.vdot(prompts, prompts).real)
-    neighbours = prompts[:-1].conj() * prompts[1:]
-    products = complex(neighbours.sum()) / (count - 1)
     if seen.coherent:
         narrow = abs(seen.prompt) ** 2 / count
         noise = (wide - narrow) / (count - 1)
         signal = (narrow - noise) / count
     else:
-        signal = _blind_power(neighbours) if seen.blind else products.real
+        neighbours = prompts[:-1].conj() * prompts[1:]
+        signal = _blind_power(neighbours) if seen.blind else float(neighbours.real.mean())
         noise = max(wide / count - max(signal, 0.0), 0.0)
     seconds = state.seconds + seen.seconds
     slow = seen.seconds / min(seconds, slow_s)
     fast = seen.seconds / min(seconds, _FAST_S)
-    phase, phase_seconds, shifted = state.phase, state.phase_seconds, state.shifted
-    if seen.coherent and seen.prompt:
-        phase_seconds += seen.seconds
-        gain = seen.seconds / min(phase_seconds, _PHASE_S)
-        phase += gain * ((seen.prompt * seen.prompt).real / abs(seen.prompt) ** 2 - phase)
-        size = symbol_periods or count
-        if count % size == 0:  # before the first edge a part of a symbol
-            powers = shifted_powers(prompts.reshape(-1, size)).mean(axis=0)
-            down, same, up = ((1.0 - gain) * np.array(shifted) + gain * powers).tolist()
-            shifted = (down, same, up)
-    return LockState(
-        seconds,
-        state.signal + slow * (signal - state.signal),
-        state.fast_signal + fast * (signal - state.fast_signal),
-        (*state.recent, signal)[-_FAINT:],
-        state.noise + slow * (noise - state.noise),
-        phase,
-        phase_seconds,
-        shifted,
+    return state._replace(
+        seconds=seconds,
+        signal=state.signal + slow * (signal - state.signal),
+        fast_signal=state.fast_signal + fast * (signal - state.fast_signal),
+        recent=(*state.recent, signal)[-_FAINT:],
+        noise=state.noise + slow * (noise - state.noise),
+    )
+
+
+def update_locks(state: LockState, seen: Accumulated, symbol_periods: int = 0) -> LockState:
+    """Take one interval, of one symbol or of several so long, into all averages."""
+    prompts = seen.periods[:, 1]
+    count = prompts.size
+    if count < 2:
+        return state
+    state = update_powers(state, seen)
+    if not (seen.coherent and seen.prompt):
+        return state
+    phase_seconds = state.phase_seconds + seen.seconds
+    gain = seen.seconds / min(phase_seconds, _PHASE_S)
+    double = (seen.prompt * seen.prompt).real / abs(seen.prompt) ** 2
+    shifted, size = state.shifted, symbol_periods or count
+    if count % size == 0:  # before the first edge a part of a symbol
+        powers = shifted_powers(prompts.reshape(-1, size)).mean(axis=0)
+        down, same, up = ((1.0 - gain) * np.array(shifted) + gain * powers).tolist()
+        shifted = (down, same, up)
+    return state._replace(
+        phase=state.phase + gain * (double - state.phase),
+        phase_seconds=phase_seconds,
+        shifted=shifted,
     )
 
 
