@@ -32,7 +32,9 @@ from deepgnss.ins import (
     process_noise,
     smoothed,
 )
-from deepgnss.ins.increments import SAME_INSTANT_S, joined
+from deepgnss.ins.error_model import ProcessNoise
+from deepgnss.ins.increments import SAME_INSTANT_S, between, joined
+from deepgnss.ins.integration import SAME_EPOCH_S
 from deepgnss.ins.measurements import body_point
 from deepgnss.ins.sanity import findings
 from deepgnss.io.config import Config
@@ -86,6 +88,7 @@ class LooseRun:
     """A finished run; `withheld` are the fixes kept from the filter, by outage."""
 
     inputs: Inputs
+    noise: ProcessNoise
     settings: Settings
     layout: Layout
     integration: Integration
@@ -178,14 +181,38 @@ def run_loose(config: Config, inputs: Inputs, outages: Sequence[Outage] = ()) ->
     aligner = Alignment(
         inputs.block, fixes, grade, alignment_settings(config, layout), settings.standstill
     )
-    integration = integrate(
-        inputs.block, fixes, aligner, process_noise(grade), settings, inputs.wheels
-    )
+    noise = process_noise(grade)
+    integration = integrate(inputs.block, fixes, aligner, noise, settings, inputs.wheels)
     forward = _epochs([e.estimate for e in integration.epochs], layout, inputs.block, settings)
     smooth = None
     if config.ins.smoother and integration.epochs:
         smooth = _epochs(smoothed(integration.epochs), layout, inputs.block, settings)
-    return LooseRun(inputs, settings, layout, integration, forward, smooth, withheld)
+    return LooseRun(inputs, noise, settings, layout, integration, forward, smooth, withheld)
+
+
+def through_outage(run: LooseRun, outage: Outage) -> LooseRun:
+    """What an outage by itself would have done to a run that had all fixes: that stretch alone.
+
+    Raises
+    ------
+    ConfigError: the outage holds no fix, or the run was not under way before it.
+    """
+    held, origin = _withheld(run.inputs.fixes, outage), run.inputs.block.origin
+    first_s = held[0].time.since(origin)
+    before = int(np.searchsorted(run.forward.time_s, first_s - SAME_EPOCH_S)) - 1
+    if before < 0:
+        raise ConfigError(f"an outage at {outage.from_s:g} s: the navigation starts later")
+    starts = [run.integration.epochs[before].estimate]
+    last_s = held[-1].time.since(origin) + 2.0 * run.settings.epoch_s  # an epoch beyond its end
+    integration = integrate(
+        between(run.inputs.block, float(run.forward.time_s[before]), last_s),
+        [],
+        lambda _: starts.pop() if starts else "the outage alone is asked for",
+        run.noise,
+        replace(run.settings, keep_trajectories=True),
+        run.inputs.wheels,
+    )
+    return replace(run, integration=integration, withheld=(held,))
 
 
 def _withheld(fixes: Sequence[GnssFix], outage: Outage) -> tuple[GnssFix, ...]:

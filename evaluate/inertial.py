@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from deepgnss.core.attitude import attitude_error_n, quaternion_from_euler, sler
 from deepgnss.core.frames import C_ne, geodetic
 from deepgnss.core.records import FloatArray
 from deepgnss.core.time import GpsTime
-from deepgnss.deep.loose import Epochs, LooseRun
+from deepgnss.deep.loose import Epochs, LooseRun, Outage, through_outage
 from deepgnss.io.output import write_whole
 from deepgnss.io.tables import number
 from deepgnss.io.truth import Trajectory
@@ -121,6 +122,46 @@ def consistency(errors: InertialErrors) -> tuple[Consistency, ...]:
 def outage_errors(run: LooseRun, truth: Trajectory | None = None) -> tuple[OutageError | None, ...]:
     """Errors at the end of every outage of a run; None where the filter did not run there."""
     return tuple(_outage_error(run, k, truth) for k in range(len(run.withheld)))
+
+
+def outages_along(
+    run: LooseRun, length_s: float, from_s: FloatArray, truth: Trajectory | None = None
+) -> list[OutageError]:
+    """Errors of outages of one length at places (s since the first fix), each by itself."""
+    found = []
+    for at_s in from_s.tolist():
+        (error,) = outage_errors(through_outage(run, Outage(at_s, length_s)), truth)
+        if error is not None:
+            found.append(error)
+    return found
+
+
+class OutageStatistics(NamedTuple):
+    """Of many outages: horizontal errors against the filter's own σ."""
+
+    count: int
+    rms_m: float
+    largest_m: float
+    sigma_m: float  # RMS of what the filter says
+    ratio: float  # RMS of error over σ, component by component, north and east
+    worst_ratio: float  # largest of those
+    nees: float  # mean over the outages, over 3
+
+
+def outage_statistics(outages: Sequence[OutageError]) -> OutageStatistics:
+    """Statistics of one length of outages."""
+    size = np.array([outage.horizontal_m for outage in outages])
+    sigma = np.array([outage.horizontal_sigma_m for outage in outages])
+    ratios = np.array([outage.error_n_m[:2] / outage.sigma_n_m[:2] for outage in outages])
+    return OutageStatistics(
+        len(outages),
+        float(np.sqrt(np.mean(size**2))),
+        float(size.max()),
+        float(np.sqrt(np.mean(sigma**2))),
+        float(np.sqrt(np.mean(ratios**2))),
+        float(np.abs(ratios).max()),
+        float(np.mean([outage.nees for outage in outages])),
+    )
 
 
 def _outage_error(run: LooseRun, k: int, truth: Trajectory | None) -> OutageError | None:
