@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
+from rich.table import Table
 
 from deepgnss.cli.main import EXIT_NOTHING_USABLE
 from deepgnss.cli.screen import (
@@ -22,7 +23,7 @@ from deepgnss.cli.screen import (
     why_no_position,
 )
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
-from deepgnss.core.errors import RecordingError
+from deepgnss.core.errors import ConfigError, RecordingError
 from deepgnss.core.records import STAGES, NavSolution, SatelliteOutcome
 from deepgnss.deep.consistency import TOLERATED_MPS, check_agreement, check_week
 from deepgnss.deep.coupled import CoupledNavigation, couple
@@ -48,8 +49,13 @@ _NARROWEST = 110  # columns of the tables where there is no terminal
 @click.option("--config", "config_path", type=click.Path(path_type=Path), help="YAML file.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override a key.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder of the outputs.")
+@click.option("--both", is_flag=True, help="With and without aiding, and what it was worth.")
 def process(
-    recording: Path, config_path: Path | None, overrides: tuple[str, ...], output: Path | None
+    recording: Path,
+    config_path: Path | None,
+    overrides: tuple[str, ...],
+    output: Path | None,
+    both: bool,
 ) -> None:
     """Process RECORDING: RINEX, NMEA, CSV, tracks, summary and a picture.
 
@@ -60,6 +66,7 @@ def process(
     if output is not None:
         overrides = (*overrides, f"output.directory={output.resolve()}")
     config = load_config(config_path, overrides)
+    runs = _aided_and_unaided(config) if both else {"": config}
     formats = tuple(stream.stream_format() for stream in config.recording.streams)
     opened, description = open_recording(recording, formats)
     with opened, Screen() as screen:
@@ -68,11 +75,44 @@ def process(
         _require_whole(config, opened)
         plan = plan_run(config, opened.streams, description.start)
         forms = {form.name: form for form in description.streams}
-        prepare_folder(config.output.directory, FILES)
-        run = _Run(config, plan, recording, forms, opened, screen)
-        usable = run.whole()
+        knowledge, usable = None, True
+        for name, one in runs.items():
+            prepare_folder(one.output.directory, FILES)
+            settings = plan_run(one, opened.streams, description.start).settings
+            run = _Run(one, replace(plan, settings=settings), recording, forms, opened, screen)
+            if name:
+                screen.note(f"{name}: {one.output.directory}")
+            knowledge = knowledge or run.scouted()
+            usable = run.whole(knowledge) and usable
+    if both:
+        _print_worth({name: one.output.directory for name, one in runs.items()}, config)
     if not usable:
         raise click.exceptions.Exit(EXIT_NOTHING_USABLE)
+
+
+def _aided_and_unaided(config: Config) -> dict[str, Config]:
+    """The same run with and without aiding, in folders of their own."""
+    if config.imu is None:
+        raise ConfigError("imu: found nothing; --both needs the log of an inertial unit")
+    folder = Path(config.output.directory)
+    runs = {}
+    for name, enabled in (("aided", True), ("unaided", False)):
+        output = config.output.model_copy(update={"directory": folder / name})
+        deep = config.deep.model_copy(update={"enabled": enabled})
+        runs[name] = config.model_copy(update={"output": output, "deep": deep})
+    return runs
+
+
+def _print_worth(folders: Mapping[str, Path], config: Config) -> None:
+    from deepgnss.evaluate.worth import worth
+
+    table = Table(title="What aiding was worth", title_justify="left")
+    table.add_column("")
+    for name in folders:
+        table.add_column(name, justify="right")
+    for row in worth(list(folders.values()), config.truth is not None):
+        table.add_row(*row)
+    Console().print(table)
 
 
 def _require_whole(config: Config, recording: Recording) -> None:
@@ -97,28 +137,34 @@ class _Run:
     stages_s: dict[str, float] = field(default_factory=dict)
     solution: NavSolution | None = None  # the last one, for the screen
 
-    def whole(self) -> bool:
-        """Do everything; True when positions were written."""
+    def scouted(self) -> Knowledge:
+        """What is known before the first sample: after a scout pass, where one is asked for."""
+        knowledge = self.plan.knowledge
+        if not self.plan.scout:
+            return knowledge
+        with (
+            workers(self.plan.threads) as executor,
+            self._stage("scout pass"),
+            _interruptible("the scout pass; nothing written"),
+        ):
+            engine = Engine(self.plan, self.recording, knowledge, executor)
+            scout = ScoutPass(engine, self.plan)
+            for result in self._checked(engine, scout.steps()):
+                self._show(result)
+            if scout.first_fix is None:
+                self._refuse_misdescribed(engine.receiver.accounts.outcomes)
+        return scout.knowledge
+
+    def whole(self, knowledge: Knowledge) -> bool:
+        """Process and report; True when positions were written."""
         folder = self.config.output.directory
-        with workers(self.plan.threads) as executor:
-            knowledge = self.plan.knowledge
-            if self.plan.scout:
-                with self._stage("scout pass"), _interruptible("the scout pass; nothing written"):
-                    engine = Engine(self.plan, self.recording, knowledge, executor)
-                    scout = ScoutPass(engine, self.plan)
-                    for result in self._checked(engine, scout.steps()):
-                        self._show(result)
-                    knowledge = scout.knowledge
-                    if scout.first_fix is None:
-                        self._refuse_misdescribed(engine.receiver.accounts.outcomes)
-            with (
-                self._stage("processing"),
-                _interruptible(f"what was written so far ends in .part in {folder}"),
-            ):
-                engine = Engine(
-                    self.plan, self.recording, knowledge, executor, couple=self._couple()
-                )
-                outputs = self._process(engine, knowledge)
+        with (
+            workers(self.plan.threads) as executor,
+            self._stage("processing"),
+            _interruptible(f"what was written so far ends in .part in {folder}"),
+        ):
+            engine = Engine(self.plan, self.recording, knowledge, executor, couple=self._couple())
+            outputs = self._process(engine, knowledge)
         outcomes = engine.receiver.accounts.outcomes
         horizontal = None
         if self.config.output.report and self.config.output.csv and outputs.tally.epochs:
@@ -150,7 +196,7 @@ class _Run:
     def _process(self, engine: Engine, knowledge: Knowledge) -> Outputs:
         with Outputs(self.config, self.plan, knowledge) as outputs:
             for result in self._checked(engine, engine.steps()):
-                outputs.write(result)
+                outputs.write(result, engine.navigated)
                 self._show(result)
             receiver = engine.receiver
             outputs.finish(receiver.nav, receiver.accounts.outcomes, {"config": _echo(self.config)})

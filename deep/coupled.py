@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from deepgnss.core.records import FloatArray
+from deepgnss.core.records import Event, FloatArray
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.aiding import Aider, Listener, Profile
 from deepgnss.deep.inertial import (
@@ -25,9 +25,10 @@ from deepgnss.deep.setup import RunPlan
 from deepgnss.ins import WheelSpeeds
 from deepgnss.ins.increments import joined
 from deepgnss.ins.sanity import findings
+from deepgnss.ins.updates import Innovation
 from deepgnss.io.config import Config
 from deepgnss.io.imu import ImuLog, read_odometer
-from deepgnss.receiver.clock import ReceiverClock
+from deepgnss.receiver.clock import ReceiverClock, to_ns
 from deepgnss.receiver.receiver import Receiver, StepResult
 
 _DRIFT_REMEMBERED_S = 3.0  # of clock drift, taken when no solution tells it
@@ -41,6 +42,14 @@ class Aids(NamedTuple):
 
 
 NO_AIDS = Aids({}, None)
+
+
+class Navigated(NamedTuple):
+    """What an epoch gave the navigation."""
+
+    states: tuple[NavigationState, ...] = ()  # at the epoch's tags
+    events: tuple[Event, ...] = ()
+    innovations: tuple[Innovation, ...] = ()
 
 
 @dataclass(slots=True)
@@ -89,14 +98,21 @@ class CoupledNavigation:
         antenna = trajectory.antenna(trajectory.time_s[-1:], self._aider.lever_b_m)
         return Aids(profiles, (antenna.r_e_m[0], antenna.v_e_mps[0]))
 
-    def after(self, receiver: Receiver, result: StepResult) -> list[NavigationState]:
-        """Take an epoch's fixes; the navigation at their tags."""
+    def after(self, receiver: Receiver, result: StepResult) -> Navigated:
+        """Take an epoch's fixes; the navigation at their tags, and what it has to tell."""
         if receiver.clock is not None:
             for fix in result.fixes:
                 if fix.solution.valid:
                     drift_sps = receiver.clock.drift_sps + fix.solution.drift_sps
                     self._clock.take(fix.epoch.time, drift_sps)
-        return self.navigation.take(result.fixes)
+        states = self.navigation.take(result.fixes)
+        told, innovations = self.navigation.news()
+        events = []
+        for event in told:
+            time = self.navigation.instant(event.time_s)
+            sample = clock.instant(to_ns(time)).sample if (clock := receiver.clock) else result.end
+            events.append(Event(sample, "INS", event.what, event.reason))
+        return Navigated(tuple(states), tuple(events), tuple(innovations))
 
 
 def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNavigation:

@@ -16,8 +16,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from deepgnss.core.records import NavSolution, SampleBlock
-from deepgnss.deep.coupled import NO_AIDS, CoupledNavigation
-from deepgnss.deep.navigation import NavigationState
+from deepgnss.deep.coupled import NO_AIDS, CoupledNavigation, Navigated
 from deepgnss.deep.setup import Covered, RunPlan
 from deepgnss.receiver.clock import ReceiverClock
 from deepgnss.receiver.feed import SumFeed
@@ -57,7 +56,7 @@ class Engine:
         self._block_s = block_s
         self._couple = couple
         self.coupled: CoupledNavigation | None = None
-        self.navigated: list[NavigationState] = []  # at the tags of the last step
+        self.navigated = Navigated()  # in the last step
         self.receiver = Receiver(
             [(kind, c.stream.sample_rate_hz) for c in plan.covered for kind in c.kinds],
             plan.settings,
@@ -86,8 +85,8 @@ class Engine:
         coupled = self.coupled
         aids = coupled.before(receiver, first, end) if coupled is not None else NO_AIDS
         result = receiver.step(feeds, first, end, aids.profiles, aids.place)
-        self.navigated = coupled.after(receiver, result) if coupled is not None else []
-        return result
+        self.navigated = coupled.after(receiver, result) if coupled is not None else Navigated()
+        return replace(result, events=(*result.events, *self.navigated.events))
 
     def _feed(self, covered: Covered) -> SumFeed:
         stream = covered.stream

@@ -13,6 +13,7 @@ import pymap3d
 from deepgnss.core.attitude import euler_rad
 from deepgnss.core.records import FloatArray
 from deepgnss.deep.loose import Epochs, LooseRun
+from deepgnss.deep.navigation import NavigationState
 from deepgnss.io.inertial_tables import (
     SENSORS,
     BiasTable,
@@ -54,6 +55,19 @@ def write_run(folder: Path, run: LooseRun) -> None:
         for k, _, imu, euler_deg in _places(best):
             nav.write(best.time(k), imu, best.v_n_mps[k], euler_deg)
         nav.file.close()
+
+
+def write_state(table: TrajectoryTable, state: NavigationState) -> None:
+    """Append the navigation of a receiver's tag."""
+    ins, P = state.estimate.ins, state.estimate.P
+    degrees = float(np.degrees(1.0))
+    antenna = np.array(pymap3d.ecef2geodetic(*state.antenna_r_e_m))
+    imu = np.array([ins.lat_rad * degrees, ins.lon_rad * degrees, ins.height_m])
+    euler_deg = euler_rad(ins.q_nb) * degrees
+    euler_deg[2] %= 360.0
+    sigmas = np.sqrt(np.diagonal(P)[:9])
+    sigmas[6:] *= degrees
+    table.write(state.time, antenna, imu, ins.v_n_mps, euler_deg, sigmas)
 
 
 def _write_trajectory(table: TrajectoryTable, epochs: Epochs) -> None:

@@ -28,12 +28,15 @@ from deepgnss.ins import (
     fix_of,
     process_noise,
 )
-from deepgnss.ins.increments import SAME_INSTANT_S, between, rows
+from deepgnss.ins.increments import SAME_INSTANT_S, between
 from deepgnss.ins.integration import Coupling, InsEvent, Instant
 from deepgnss.ins.updates import Innovation
 from deepgnss.receiver.receiver import Fix
 
 _REMEMBERED_S = 60.0  # fixes kept for an alignment
+# What a position's own σ leaves out: atmosphere and reflections last for seconds.
+_LASTING_M = 1.0
+_LASTING_S = 10.0
 _TRY_EVERY_S = 1.0  # between alignments tried
 
 
@@ -70,18 +73,13 @@ class Navigation:
         self._not_before_s = -np.inf  # of an alignment, since the block's origin
         self._next_try_s = -np.inf
         self._reason = ""
-        self._logged = 0
         self.events: list[InsEvent] = []
+        self.innovations: list[Innovation] = []
 
     @property
     def running(self) -> bool:
         """Whether there is a navigation now."""
         return self._coupling is not None
-
-    @property
-    def innovations(self) -> Sequence[Innovation]:
-        """Of all measurements since the last start."""
-        return self._coupling.innovations if self._coupling else ()
 
     # --- before an epoch ---------------------------------------------------------------------
 
@@ -107,9 +105,8 @@ class Navigation:
         states = []
         for fix in fixes:
             gnss = fix_of(fix.solution) if fix.solution.valid else None
-            if gnss is not None and not np.isfinite(fix.solution.v_e_mps).all():
-                gnss = replace(gnss, v_n_mps=None, velocity_covariance_n_m2ps2=None)
             if gnss is not None:
+                gnss = self._weighed(gnss)
                 self._remember(gnss)
             time_s = fix.epoch.time.since(self._inputs.block.origin)
             if self._coupling is None:
@@ -119,6 +116,22 @@ class Navigation:
             if self._coupling is not None:
                 states.append(self._state(self._coupling))
         return states
+
+    def _weighed(self, fix: GnssFix) -> GnssFix:
+        """A fix with errors that last: so many of them count as one.
+
+        A mean over T of errors σ that last for τ keeps the variance σ²·2τ/T; white ones at a
+        distance Δt would leave R·Δt/T, hence R = σ²·2τ/Δt.
+        """
+        passed_s = fix.time.since(self._fixes[-1].time) if self._fixes else _LASTING_S
+        together = max(1.0, 2.0 * _LASTING_S / max(passed_s, 1e-3))
+        known = fix.v_n_mps is not None and bool(np.isfinite(fix.v_n_mps).all())
+        return replace(
+            fix,
+            covariance_n_m2=(fix.covariance_n_m2 + _LASTING_M**2 * np.eye(3)) * together,
+            v_n_mps=fix.v_n_mps if known else None,
+            velocity_covariance_n_m2ps2=fix.velocity_covariance_n_m2ps2 if known else None,
+        )
 
     def _go_on(self, coupling: Coupling, time_s: float, gnss: GnssFix | None) -> None:
         epoch_s = self._inputs.settings.epoch_s
@@ -183,7 +196,7 @@ class Navigation:
             return
         self._coupling = Coupling(inputs.block, self._noise, inputs.settings)
         self._coupling.begin(found)
-        self._logged, self._reason = 0, ""
+        self._reason = ""
         started_s = found.ins.time.since(origin)
         later = [f for f in fixes if f.time.since(origin) > started_s + SAME_INSTANT_S]
         failed_s = self._coupling.through(
@@ -200,10 +213,18 @@ class Navigation:
         self._not_before_s = at_s
 
     def _hand_on(self, coupling: Coupling) -> None:
-        self.events.extend(coupling.events[self._logged :])
-        self._logged = len(coupling.events)
+        """Take over what the coupling has noted: it keeps nothing, memory stays flat."""
+        self.events.extend(coupling.events)
+        self.innovations.extend(coupling.innovations)
+        coupling.events.clear()
+        coupling.innovations.clear()
 
+    def news(self) -> tuple[list[InsEvent], list[Innovation]]:
+        """Events and innovations since the last call."""
+        told = (self.events, self.innovations)
+        self.events, self.innovations = [], []
+        return told
 
-def increments_until(block: ImuBlock, time_s: float) -> ImuBlock:
-    """Increments that end by an instant, s since the block's origin."""
-    return rows(block, 0, int(np.searchsorted(block.time_s, time_s + SAME_INSTANT_S)))
+    def instant(self, time_s: float) -> GpsTime:
+        """GPST of an event."""
+        return self._inputs.block.origin.plus(time_s)

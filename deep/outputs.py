@@ -12,9 +12,12 @@ from typing import Any, Self, TypeVar
 from deepgnss.core.records import Epoch, NavData, SatelliteOutcome
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.consistency import CodeMinusCarrier
+from deepgnss.deep.coupled import Navigated
+from deepgnss.deep.loose_outputs import write_state
 from deepgnss.deep.setup import RunPlan
 from deepgnss.io.config import Config
 from deepgnss.io.correlations import CorrelationWriter
+from deepgnss.io.inertial_tables import InnovationTable, TrajectoryTable
 from deepgnss.io.nmea import NmeaWriter
 from deepgnss.io.output import Closing
 from deepgnss.io.rinex import STATION, long_name
@@ -36,7 +39,7 @@ FILES = (
     f"{STATION}_R_*_?N.rnx",
     "solution.nmea",
     *(f"{name}.csv" for name in ("solution", "satellites", "channels", "observations", "events")),
-    *(f"{name}.csv" for name in ("errors", "statistics")),
+    *(f"{name}.csv" for name in ("errors", "statistics", "trajectory", "innovations")),
     *(f"track.{kind}" for kind in ("kml", "gpx", "geojson")),
     "correlations.h5",
     "overview.png",
@@ -97,6 +100,7 @@ class Outputs:
         self._nmea: NmeaWriter | None = None
         self._correlations: CorrelationWriter | None = None
         self._tracks: tuple[Any, ...] = ()
+        self._inertial: tuple[TrajectoryTable, InnovationTable] | None = None
         if output.rinex:
             header = ObsHeader(signals, output.interval, duration_s, knowledge.position_e_m, utc)
             self._obs = enter(RinexObsWriter(folder, header))
@@ -109,6 +113,11 @@ class Outputs:
             self._channels = enter(ChannelTable(folder / "channels.csv"))
             self._observations = enter(ObservationTable(folder / "observations.csv"))
             self._events = enter(EventTable(folder / "events.csv", self._rate))
+            if self._config.imu is not None and self._config.deep.enabled:
+                self._inertial = (
+                    enter(TrajectoryTable(folder / "trajectory.csv")),
+                    enter(InnovationTable(folder / "innovations.csv")),
+                )
         if output.report:
             self._tracks = (
                 enter(KmlTrack(folder / "track.kml", "deepgnss")),
@@ -124,8 +133,14 @@ class Outputs:
                 )
             )
 
-    def write(self, result: StepResult) -> None:
+    def write(self, result: StepResult, navigated: Navigated | None = None) -> None:
         """Put one step into all files."""
+        if navigated is not None and self._inertial is not None:
+            trajectory, innovations = self._inertial
+            for state in navigated.states:
+                write_state(trajectory, state)
+            for i in navigated.innovations:
+                innovations.write(i.time, i.kind, i.innovation, i.nis, i.accepted)
         for fix in result.fixes:
             if fix.solution.valid and self.tally.first_fix_s is None:
                 self.tally.first_fix_s = fix.epoch.instant.sample / self._rate

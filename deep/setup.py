@@ -20,7 +20,9 @@ from deepgnss.receiver.clock import NS
 from deepgnss.receiver.modes import FrequencySettings, TrackingSettings
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.receiver import Knowledge, ReceiverSettings
+from deepgnss.receiver.search import SearchSettings
 from deepgnss.receiver.signals import SIGNALS, Signal
+from deepgnss.receiver.weak_search import WeakSettings
 
 _SEARCH_MARGIN_S = 0.005  # of an epoch, beyond the sums of a search
 
@@ -150,6 +152,14 @@ def receiver_settings(config: Config) -> ReceiverSettings:
             coherent_s=acquisition.coherent,
             noncoherent=acquisition.noncoherent,
             false_alarm=acquisition.false_alarm,
+        ),
+        searching=SearchSettings(
+            weak=WeakSettings(
+                acquisition.weak_length, acquisition.false_alarm, acquisition.weak_doppler_rate
+            )
+            if acquisition.weak
+            else None,
+            weak_every_s=acquisition.weak_interval,
         ),
         pvt=PvtParameters(
             elevation_mask_rad=math.radians(positioning.elevation_mask),
