@@ -18,6 +18,7 @@ from deepgnss.cli.screen import nearby
 from deepgnss.io.config import json_schema, reference_markdown, resolved_yaml
 from deepgnss.sim.output import Written, write_simulation
 from deepgnss.sim.schema import (
+    PUBLISHED,
     REFERENCE_HEAD,
     ScenarioConfig,
     Simulation,
@@ -85,7 +86,7 @@ def _make(config: ScenarioConfig, folder: Path, threads: int) -> None:
 
 def _print_ready() -> None:
     table = Table(box=None, show_header=False, pad_edge=False)
-    for ready in ready_scenarios():
+    for ready in (*ready_scenarios(), *ready_scenarios(PUBLISHED)):
         table.add_row(ready.name, ready.about)
     Console(highlight=False).print(table)
 

@@ -6,7 +6,13 @@ from collections.abc import Sequence
 from typing import Final
 
 from deepgnss.core.errors import ConfigError
-from deepgnss.evaluate.reproduce import bit_sync, frame_sync
+from deepgnss.evaluate.reproduce import (
+    bit_sync,
+    carrier_phase,
+    code_noise,
+    frame_sync,
+    multipath,
+)
 from deepgnss.evaluate.reproduce.table import Row
 
 ROWS: Final = (
@@ -15,6 +21,7 @@ ROWS: Final = (
         "static, 48.5 dB-Hz: double difference of phase, σ",
         "0.05 cm",
         "≤ 1.15 · √2 σ_th",
+        carrier_phase.measure_strong,
     ),
     Row(
         "CP-D47",
@@ -22,7 +29,13 @@ ROWS: Final = (
         "0.075 / 0.3 cm",
         "≤ 0.06 / 0.25 cm",
     ),
-    Row("CP-S33", "static, 33 dB-Hz: σ", "0.30 cm", "≤ 1.15 · √2 σ_th, none lost"),
+    Row(
+        "CP-S33",
+        "static, 33 dB-Hz: σ",
+        "0.30 cm",
+        "≤ 1.15 · √2 σ_th, none lost",
+        carrier_phase.measure_weak,
+    ),
     Row("CP-D35", "dynamic, 35 dB-Hz: σ", "0.25 / 0.26 cm", "≤ 1.2 · √2 σ_th"),
     Row("CP-D26", "dynamic, 26 dB-Hz: σ, slips", "0.70 cm, 0", "≤ 1.19 · √2 σ_th, 0 in 300 s"),
     Row(
@@ -36,6 +49,7 @@ ROWS: Final = (
         "static, 48.5 dB-Hz, D, T and B varied: σ of ranges",
         "figures 6.3–6.8",
         "within 10 % of T(2.25)",
+        code_noise.measure,
     ),
     Row(
         "PR-W215",
@@ -54,6 +68,7 @@ ROWS: Final = (
         "one ray of half amplitude, D 1 and D 0.1: largest code error",
         "0.25, 0.025 chip",
         "as theory",
+        multipath.measure,
     ),
     Row(
         "FFT-PD",

@@ -12,6 +12,9 @@ from deepgnss.core.errors import ConfigError
 from deepgnss.io.config import load
 from deepgnss.sim.schema.document import ScenarioConfig
 
+PUBLISHED = "reproduce/"
+"""Group of the scenarios behind `deepgnss reproduce`."""
+
 _ENDING = ".yaml"
 
 
@@ -22,12 +25,16 @@ class Ready(NamedTuple):
     about: str
 
 
-def ready_scenarios() -> list[Ready]:
-    """All ready scenarios by name."""
-    folder = files("deepgnss.configs") / "scenarios"
+def ready_scenarios(group: str = "") -> list[Ready]:
+    """All ready scenarios of a group by name: "" or PUBLISHED.
+
+    A name begins with its group.
+    """
+    folder = files("deepgnss.configs") / "scenarios" / group
     found = [entry for entry in folder.iterdir() if entry.name.endswith(_ENDING)]
     return sorted(
-        Ready(entry.name.removesuffix(_ENDING), _about(entry.read_text("utf-8"))) for entry in found
+        Ready(group + entry.name.removesuffix(_ENDING), _about(entry.read_text("utf-8")))
+        for entry in found
     )
 
 
@@ -51,7 +58,7 @@ def load_scenario(
 
 @contextmanager
 def _file_of(scenario: str | Path) -> Iterator[Path]:
-    names = [ready.name for ready in ready_scenarios()]
+    names = [ready.name for group in ("", PUBLISHED) for ready in ready_scenarios(group)]
     if str(scenario) in names:
         with as_file(files("deepgnss.configs") / "scenarios" / f"{scenario}{_ENDING}") as path:
             yield path

@@ -1,0 +1,55 @@
+"""What a front end's filter and converter leave of a signal: level and shape of its correlation."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from deepgnss.core.records import GPS_L1CA, FloatArray, SignalId
+from deepgnss.receiver.signals import signal_of
+from deepgnss.sim.filters import low_pass
+from deepgnss.sim.quantization import quantization_loss_db
+from deepgnss.sim.scenario import FrontEnd
+
+_SPECTRUM: Final = 8192
+_FINE: Final = 128  # points per chip of a correlation
+
+
+def gain(front_end: FrontEnd, frequency_hz: FloatArray) -> FloatArray:
+    """Gain of the filter at frequencies off the centre; 1 without one. Complex samples."""
+    taps = low_pass(front_end)
+    if taps is None:
+        return np.ones_like(frequency_hz)
+    turns = np.arange(1, taps.size // 2 + 1) / front_end.sample_rate_hz
+    half = taps[taps.size // 2 :].astype(np.float64)
+    waves = np.cos(2.0 * np.pi * np.multiply.outer(frequency_hz, turns))
+    return np.asarray(half[0] + 2.0 * waves @ half[1:])
+
+
+def loss_db(front_end: FrontEnd, signal: SignalId = GPS_L1CA) -> float:
+    """C/N0 in front of filter and converter over that behind them, for a replica of whole chips.
+
+    The replica collects ∫S·H of the signal's amplitude and ∫S·H² of the noise, S its spectrum.
+    """
+    span_hz = np.linspace(-0.5, 0.5, _SPECTRUM) * front_end.sample_rate_hz
+    spectrum = np.sinc(span_hz / signal.chip_rate_hz) ** 2 / signal.chip_rate_hz
+    passed = gain(front_end, span_hz)
+    step_hz = span_hz[1] - span_hz[0]
+    level = float(spectrum @ passed) * step_hz
+    noise = float(spectrum @ passed**2) * step_hz
+    return 10.0 * math.log10(noise / level**2) + quantization_loss_db(front_end, signal)
+
+
+def correlation(front_end: FrontEnd, signal: SignalId, prn: int) -> tuple[FloatArray, FloatArray]:
+    """Correlation of a filtered periodic code with its replica within ±3 chips: (chips, value)."""
+    code = np.repeat(signal_of(signal.name, prn).primary_code(prn).astype(np.float64), _FINE)
+    spectrum = np.abs(np.fft.rfft(code)) ** 2
+    hz = np.fft.rfftfreq(code.size, 1.0 / (_FINE * signal.chip_rate_hz)).astype(np.float64)
+    inside = hz <= 0.5 * front_end.sample_rate_hz
+    shaped = np.zeros(hz.size)
+    shaped[inside] = spectrum[inside] * gain(front_end, hz[inside])
+    around = np.fft.irfft(shaped, code.size) / code.size
+    lags = np.arange(-3 * _FINE, 3 * _FINE + 1)
+    return lags / _FINE, around[lags]
