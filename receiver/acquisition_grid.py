@@ -35,7 +35,7 @@ _NOISE_CELLS = 2**15  # cells whose median gives the noise floor
 _INDEPENDENT_SHARE = 0.6
 _LINE_STRETCH = 64  # cells of spectrum a carrier is compared with
 _LINE_CHANCE = 1e-4  # share of the spectrum given up where there is none
-_LEAK_PEAK = 6.0  # highest cell over mean of a C/A cross-correlation row (−22 against −30 dB)
+LEAK_PEAK = 6.0  # highest cell over mean of a C/A cross-correlation row (−22 against −30 dB)
 
 
 class SearchWindow(NamedTuple):
@@ -132,16 +132,16 @@ def cut(
     flat[:count] = resample(sums, first, rate_hz, count)
     window = cells * (1 + padded)
     spectra = scipy.fft.fft(sliding_window_view(flat, window)[::cells])
-    spectra *= _line_weights(spectra)
+    spectra *= line_weights(spectra)
     samples = np.asarray(scipy.fft.ifft(spectra))
     half_bin = np.exp(-1j * np.pi * np.arange(window) / window).astype(np.complex64)
     spectra = np.stack([spectra, scipy.fft.fft(samples * half_bin)])
     half_sample_chips = 0.5 * signal.id.chip_rate_hz / sums.sample_rate_hz
-    mirror_hz = _mirror_hz(samples[:, :cells].ravel(), rate_hz)
+    mirror_hz = mirror_frequency_hz(samples[:, :cells].ravel(), rate_hz)
     return Periods(signal, first, cells, half_sample_chips, mirror_hz, samples, spectra)
 
 
-def _mirror_hz(samples: Complex64Array, rate_hz: float) -> float | None:
+def mirror_frequency_hz(samples: Complex64Array, rate_hz: float) -> float | None:
     """Where real samples at (nearly) zero IF have their zero: noise is not circular there."""
     squares = samples * samples
     lag = 64
@@ -152,7 +152,7 @@ def _mirror_hz(samples: Complex64Array, rate_hz: float) -> float | None:
     return float(np.angle(product)) * rate_hz / (4.0 * np.pi * lag)
 
 
-def _line_weights(spectra: Complex64Array) -> NDArray[np.float32]:
+def line_weights(spectra: Complex64Array) -> NDArray[np.float32]:
     """Weights over frequency that take out carriers: DC offset, spurs of the receiver, jammers.
 
     Lines stand far above the noise around them once all periods are summed; satellites do not.
@@ -195,6 +195,18 @@ def code_spectrum(signal_name: str, prn: int, cells: int, window: int) -> Comple
     return spectrum
 
 
+@kernel
+def shift_blocks(rows: Complex64Array, step: Complex64Array) -> None:
+    """Multiply block b of spectra (blocks, rows, cells) by step (cells) to the power b + ½."""
+    blocks, count, cells = rows.shape
+    turn = np.sqrt(step)
+    for block in range(blocks):
+        for row in range(count):
+            for cell in range(cells):
+                rows[block, row, cell] *= turn[cell]
+        turn *= step
+
+
 def doppler_rows(
     periods: Periods, dopplers_hz: FloatArray, coherent: int
 ) -> Iterator[tuple[FloatArray, Complex64Array]]:
@@ -205,18 +217,18 @@ def doppler_rows(
     wavenumber = scipy.fft.fftfreq(periods.window)
     half_bins = np.rint(2.0 * dopplers_hz / bin_hz).astype(np.int64)
     within = np.arange(coherent) * period_s
-    middles = (np.arange(blocks) + 0.5) * coherent * period_s
     for half_bin in np.unique(half_bins):
         group = dopplers_hz[half_bins == half_bin]
         shift, half = divmod(int(half_bin), 2)
         source = periods.spectra[half].reshape(blocks, coherent, periods.window)
-        weights = np.exp(-2j * np.pi * group[:, np.newaxis] * within).astype(np.complex64)
-        rows = np.roll(weights @ source, -shift, axis=2)
+        if coherent == 1:  # no products of single numbers: they take longer than the transforms
+            rows = np.roll(source, -shift, axis=2)
+        else:
+            weights = np.exp(-2j * np.pi * group[:, np.newaxis] * within).astype(np.complex64)
+            rows = np.roll(weights @ source, -shift, axis=2)
         # Where the code stands in the middle of each block, against that at the start.
-        drift = middles * (0.5 * half_bin * bin_hz) * periods.cells_per_hz_s
-        rows *= np.exp(-2j * np.pi * drift[:, np.newaxis] * wavenumber).astype(np.complex64)[
-            :, np.newaxis
-        ]
+        drift = coherent * period_s * 0.5 * half_bin * bin_hz * periods.cells_per_hz_s
+        shift_blocks(rows, np.exp(-2j * np.pi * drift * wavenumber).astype(np.complex64))
         yield group, rows
 
 
@@ -305,7 +317,7 @@ class GridSearch:
         highest = np.concatenate(self._highest).astype(np.float64) / noise
         excess = np.concatenate(self._means) / noise - 1.0
         excess -= 3.0 * np.sqrt(self._own / (self._cells_searched * blocks))  # by chance
-        leaks = _LEAK_PEAK * np.maximum(excess, 0.0)
+        leaks = LEAK_PEAK * np.maximum(excess, 0.0)
         ratios = np.maximum(np.sqrt(highest) - np.sqrt(leaks), 0.0) ** 2
         dopplers_hz = np.concatenate(self._dopplers_hz)
         if self._mirror_hz is not None:  # all noise in one dimension: half the exponent

@@ -94,11 +94,31 @@ class Bank:
         first, end = window
         events = []
         tracked = frozenset(self.channels)
-        for seen, sight in self._searcher.look(feed, first, end, place, nav, tracked, executor):
+        strong = [self._as_seen(channel, prn, first) for prn, channel in self.channels.items()]
+        outcomes = self._searcher.look(feed, first, end, place, nav, tracked, executor, strong)
+        for seen, sight in outcomes:
             accounts.searched(seen)
             if seen.found:
                 events.append(self._take(seen, first, sight, clock))
         return events
+
+    def _as_seen(self, channel: Channel, prn: int, sample: int) -> Acquisition:
+        """A tracked satellite as a search of one code period would see it at a sample."""
+        command = channel.command
+        chips = (
+            command.code_chips + float((sample - command.sample) / self.rate_hz) * command.code_hz
+        )
+        return Acquisition(
+            satellite=channel.satellite,
+            prn=prn,
+            first=sample,
+            doppler_hz=command.carrier_hz,
+            code_chips=chips % self.signal.id.code_chips,
+            peak_ratio=10.0 ** (0.1 * channel.cn0_dbhz) * self.signal.period_s,
+            threshold=0.0,
+            cn0_dbhz=channel.cn0_dbhz,
+            found=True,
+        )
 
     def _take(
         self, seen: Acquisition, first: int, sight: Sight | None, clock: ReceiverClock | None

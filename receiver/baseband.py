@@ -420,7 +420,7 @@ def correlate(
     return out
 
 
-def resample(sums: RunningSums, first: int, rate_hz: float, count: int) -> NDArray[np.complex64]:
+def resample(sums: RunningSums, first: float, rate_hz: float, count: int) -> NDArray[np.complex64]:
     """`count` samples at `rate_hz` from sample `first` on: each the sum of what falls into it.
 
     Output sample m fills [first − ½ + m·r, first − ½ + (m + 1)·r), r = sample rate / rate_hz.

@@ -1,9 +1,14 @@
-"""Which satellites to search, when, and where: bounded in cost for the whole run."""
+"""Which satellites to search, when, and where: bounded in cost for the whole run.
+
+Weak ones take longer sums than an epoch holds: those searches go back over samples that went by.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import NamedTuple
 
@@ -17,11 +22,15 @@ from deepgnss.receiver.acquisition import (
     Acquisition,
     AcquisitionSettings,
     SearchWindow,
+    changes_often,
     cold_search,
     search,
 )
 from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.signals import Signal
+from deepgnss.receiver.weak_search import Aim, WeakSettings, needed_samples, weak_search
+
+_BLIND_CHANGING = 3.0  # times the sums and the pause where signs change from period to period
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +46,10 @@ class SearchSettings:
     doppler_half_hz: float = 120.0
     moved_m: float = 10_000.0  # more of both where only a place of another time is known
     speed_mps: float = 300.0
+    weak: WeakSettings | None = field(default_factory=WeakSettings)
+    weak_every_s: float = 5.0  # one predicted satellite that a usual search did not find
+    weak_blind_sums: int = 8  # coherent sums to look blindly for weak ones with …
+    few: int = 4  # … while fewer satellites than these are tracked
 
 
 class Sight(NamedTuple):
@@ -96,6 +109,13 @@ def window_of(sight: Sight, place: Place, signal: Signal, settings: SearchSettin
     return SearchWindow(sight.doppler_hz, half_hz, chips, half_s * signal.id.chip_rate_hz)
 
 
+def aim_of(sight: Sight, place: Place, signal: Signal, settings: SearchSettings) -> Aim:
+    """The window, and the code period in it: time is known far better than to a period."""
+    window = window_of(sight, place, signal, settings)
+    sent_s = place.time.tow_s % 1.0 + sight.transmit_s
+    return Aim(window, math.floor(sent_s / signal.period_s) % signal.symbol_periods)
+
+
 class Outcome(NamedTuple):
     """A search done, and the prediction it went by."""
 
@@ -129,6 +149,9 @@ class Searcher:
         self._pause_s: dict[int, float] = {}
         self._tried: dict[int, int] = {}
         self._predicted: frozenset[int] = frozenset()
+        self._start: int | None = None  # the first sample there is to look back on
+        self._next_weak = 0
+        self._tried_long: dict[int, int] = {}
 
     @property
     def length_s(self) -> float:
@@ -150,9 +173,15 @@ class Searcher:
         nav: NavData,
         tracked: frozenset[int],
         executor: Executor | None,
+        strong: Sequence[Acquisition] = (),
     ) -> list[Outcome]:
-        """Search on the samples from `first` on, at most to `end`."""
+        """Search on the samples from `first` on, at most to `end`, or on those before `first`.
+
+        `strong`: what the tracked ones are at `first`, for what they leave in others' codes.
+        """
         outcomes: list[Outcome] = []
+        if self._start is None:
+            self._start = first
         count = round(self.length_s * self._rate)
         if first + count > end:  # the recording ends
             return outcomes
@@ -180,15 +209,74 @@ class Searcher:
         elif first >= self._next_blind and unknown:
             prn = min(unknown, key=lambda p: (self._tried.get(p, -1), p))
             self._tried[prn] = first
-            outcomes.append(
-                Outcome(search(sums(), first, self._signal, prn, self._acquisition), None)
-            )
+            few = len(tracked) < self._settings.few
+            outcomes.append(self._blind_search(feed, first, prn, few))
         if not self._began or first >= self._next_blind:
             settings = self._settings
             pause_s = settings.blind_unplaced_s if place is None else settings.blind_every_s
+            if changes_often(self._signal):  # such a search costs several times as much
+                pause_s *= _BLIND_CHANGING
             self._next_blind = first + round(pause_s * self._rate)
             self._began = True
+        taken = tracked | {outcome.seen.prn for outcome in outcomes if outcome.seen.found}
+        if place is not None:
+            return outcomes + self._look_back(feed, first, place, nav, taken, strong)
         return outcomes
+
+    def _look_back(
+        self,
+        feed: SumFeed,
+        first: int,
+        place: Place,
+        nav: NavData,
+        taken: frozenset[int],
+        strong: Sequence[Acquisition],
+    ) -> list[Outcome]:
+        """The long search of one predicted satellite that a usual search has missed."""
+        weak = self._settings.weak
+        if weak is None or self._start is None or first < self._next_weak:
+            return []
+        if first - needed_samples(self._signal, weak, self._rate) < self._start:
+            return []
+        missed = [
+            sight
+            for sight in predict_sights(place, nav, self._signal)
+            if sight.elevation_rad >= self._settings.below_mask_rad
+            and sight.healthy
+            and int(sight.satellite[1:]) in self._pause_s.keys() - taken
+        ]
+        if not missed:
+            return []
+        self._next_weak = first + round(self._settings.weak_every_s * self._rate)
+        sight = min(missed, key=lambda s: self._tried_long.get(int(s.satellite[1:]), -1))
+        prn = int(sight.satellite[1:])
+        self._tried_long[prn] = first
+        aim = aim_of(sight, place, self._signal, self._settings)
+        seen = weak_search(feed.over, first, self._signal, prn, aim, weak, self._rate, strong)
+        return [Outcome(seen, sight)]
+
+    def _blind_search(self, feed: SumFeed, first: int, prn: int, few: bool) -> Outcome:
+        """Search a satellite of which nothing is known: with longer sums while there are few."""
+        signal, long = self._signal, self._blind_settings(few)
+        length_s = long.coherent_s * long.noncoherent + 2.0 * signal.period_s
+        count = round(length_s * self._rate)
+        if self._start is None or first - count < self._start:
+            long, count = self._acquisition, round(self.length_s * self._rate)
+            seen = search(feed.over(first, count), first, signal, prn, long)
+            return Outcome(seen, None)
+        begin = first - count
+        seen = search(feed.over(begin, count), begin, signal, prn, long)
+        stretch = 1.0 + seen.doppler_hz / signal.id.carrier_hz
+        chips = seen.code_chips + count / self._rate * signal.id.chip_rate_hz * stretch
+        return Outcome(replace(seen, first=first, code_chips=chips % signal.id.code_chips), None)
+
+    def _blind_settings(self, few: bool) -> AcquisitionSettings:
+        settings, usual = self._settings, self._acquisition
+        if settings.weak is None or not few:
+            return usual
+        more = _BLIND_CHANGING if changes_often(self._signal) else 1.0
+        sums = round(more * settings.weak_blind_sums)
+        return replace(usual, noncoherent=max(usual.noncoherent, sums))
 
     def _wanted(self, sight: Sight, first: int, tracked: frozenset[int]) -> bool:
         prn = int(sight.satellite[1:])

@@ -46,6 +46,16 @@ class AcquisitionConfig(Section):
     """Coherent sum, s, whole ms."""
     noncoherent: Annotated[int, Quantity(1, 1000, "sums", whole=True)] = 2
     """Coherent sums added up as powers."""
+    weak: Switch = True
+    """Look for weak satellites with longer sums: predicted ones down to 22 dB-Hz, and while fewer
+    than four are tracked any down to 30 dB-Hz."""
+    weak_length: Annotated[float, Quantity(0.1, 4.0, "s")] = 1.0
+    """Samples that the search of a weak predicted satellite adds up, s."""
+    weak_interval: Annotated[float, Quantity(0.5, 3600.0, "s")] = 5.0
+    """Time between such searches, one satellite each, s."""
+    weak_doppler_rate: Annotated[float, Quantity(0.0, 500.0, "Hz/s")] = 0.0
+    """By how much Dopplers may change in such a search, Hz/s: 5 per m/s² of the antenna; a static
+    one needs 0."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

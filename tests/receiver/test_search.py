@@ -95,7 +95,15 @@ class _Feed:
 
 
 @pytest.fixture
-def searched(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int, bool]]:
+def weak() -> list[tuple[int, int]]:
+    """(sample it goes back from, PRN) of every long search."""
+    return []
+
+
+@pytest.fixture
+def searched(
+    monkeypatch: pytest.MonkeyPatch, weak: list[tuple[int, int]]
+) -> list[tuple[int, int, bool]]:
     """(first sample, PRN, in a window) of every search; none finds anything."""
     log: list[tuple[int, int, bool]] = []
 
@@ -130,6 +138,11 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int, bool]]:
     ) -> list[Acquisition]:
         return [one(sums, first, signal, prn, settings, wanted[prn]) for prn in wanted]
 
+    def long(read: Any, now: int, signal: Signal, prn: int, *rest: Any) -> Acquisition:
+        weak.append((now, prn))
+        return Acquisition(f"G{prn:02d}", prn, now, 0.0, 0.0, 1.0, 8.0, 0.0, False, "noise")
+
+    monkeypatch.setattr(module, "weak_search", long)
     monkeypatch.setattr(module, "search", one)
     monkeypatch.setattr(module, "cold_search", many)
     if hasattr(module, "search_windows"):
@@ -205,3 +218,58 @@ def test_no_search_beyond_the_epoch(searched: list[tuple[int, int, bool]]) -> No
     assert not _searcher().look(feed, 0, 1000, None, NavData(), frozenset(), None)  # type: ignore[arg-type]
     assert not searched
     assert feed.asked == 0
+
+
+# --- weak ones -----------------------------------------------------------------------------------
+
+
+def test_those_a_usual_search_missed_are_searched_for_long_at_a_bounded_pace(
+    searched: list[tuple[int, int, bool]], weak: list[tuple[int, int]]
+) -> None:
+    """One every few seconds, all in turn, none before there is a past to look back on."""
+    nav, place = shared_sky().scenario.nav, _place(0)
+    _run(_searcher(), 120.0, place, nav, frozenset())
+    missed = {prn for _, prn, window in searched if window}
+    assert {prn for _, prn in weak} == missed
+    times_s = np.array([sample for sample, _ in weak]) / RATE_HZ
+    assert 1.0 < times_s[0] < 1.3
+    np.testing.assert_allclose(np.diff(times_s), 5.0, atol=0.11)
+    turns = [prn for _, prn in weak]
+    assert len(set(turns[: len(missed)])) == len(missed)
+    tracked = frozenset(missed)
+    weak.clear()
+    _run(_searcher(), 20.0, place, nav, tracked)
+    assert not weak
+    _run(_searcher(SearchSettings(weak=None)), 20.0, place, nav, frozenset())
+    assert not weak
+
+
+def test_blind_searches_are_longer_while_few_are_tracked_and_look_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[tuple[int, int, int]] = []
+
+    def one(
+        sums: None, first: int, signal: Signal, prn: int, settings: AcquisitionSettings
+    ) -> Acquisition:
+        asked.append((first, prn, settings.noncoherent))
+        return Acquisition(f"G{prn:02d}", prn, first, 1000.0, 3.0, 9.0, 8.0, 30.0, True)
+
+    monkeypatch.setattr(module, "search", one)
+    monkeypatch.setattr(module, "cold_search", lambda *rest: [])
+    for tracked, sums in ((frozenset({1}), 8), (frozenset({1, 2, 3, 4}), 2)):
+        searcher = _searcher()
+        asked.clear()
+        found = []
+        for first in range(0, int(2.2 * RATE_HZ), EPOCH):
+            found += searcher.look(_Feed(), first, first + EPOCH, None, NavData(), tracked, None)  # type: ignore[arg-type]
+        ((begin, _, noncoherent),) = asked
+        assert noncoherent == sums
+        now = 20 * EPOCH
+        assert begin == (
+            now - round(0.082 * RATE_HZ) if sums == 8 else now - round(0.022 * RATE_HZ)
+        )
+        # The code went on meanwhile.
+        chips = 3.0 + (now - begin) / RATE_HZ * 1.023e6 * (1.0 + 1000.0 / 1575.42e6)
+        assert found[0].seen.first == now
+        assert found[0].seen.code_chips == pytest.approx(chips % 1023.0, abs=1e-6)
