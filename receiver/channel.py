@@ -408,7 +408,8 @@ class Channel:
         lowest = 10.0 ** (0.1 * (self.settings.frequency_threshold_dbhz - _DOUBTED_DB))
         if signal < lowest * seen.period_s * self.locks.noise:
             return None
-        return window_of(sums, self.signal.symbol_s, self._known_signs(first, sums.shape[0]))
+        known = self._known_signs(first, sums.shape[0])
+        return window_of(sums, self.signal.symbol_s, known, size * self.locks.noise)
 
     def _known_signs(self, first: int, count: int) -> FloatArray | None:
         """Signs of symbols from a period of this channel's count on, where they are known."""

@@ -114,17 +114,20 @@ def noise_bandwidth_hz(settings: FrequencySettings) -> float:
     return 0.5 * settings.gain / ((2.0 - settings.gain) * settings.window_s)
 
 
-def window_of(symbols: ComplexArray, symbol_s: float, signs: FloatArray | None) -> Accumulated:
+def window_of(
+    symbols: ComplexArray, symbol_s: float, signs: FloatArray | None, noise: float = 0.0
+) -> Accumulated:
     """A window from symbol sums (n, taps), stripped where their signs (n,) are known.
 
-    Signs that leave no tone are not those that were sent, and are not used.
+    Signs that leave no tone are not those that were sent, and are not used. `noise`: its power
+    in one of the sums.
     """
     if signs is not None:
         stripped = symbols * signs[:, np.newaxis]
         lines = np.abs(np.fft.fft(stripped[:, 1])) ** 2
         if lines.max() > _TONE_SHARE * lines.sum():
             return accumulate(stripped, symbol_s, coherent=True)
-    return accumulate(symbols, symbol_s, coherent=False)
+    return accumulate(symbols, symbol_s, coherent=False)._replace(noise=noise)
 
 
 class Glance(NamedTuple):

@@ -38,6 +38,7 @@ class Accumulated(NamedTuple):
     period_s: float
     coherent: bool  # the sums may be used: no symbol edge lies inside
     blind: bool = False  # every code period may have another sign
+    noise: float = 0.0  # power of noise in each of the periods, as far as it is to be taken off
 
 
 def accumulate(
@@ -171,7 +172,9 @@ class DelayLock:
             early, late = abs(seen.early), abs(seen.late)
         else:
             power = (seen.periods.real**2 + seen.periods.imag**2).sum(axis=0)
-            early, late = float(power[0]) ** 0.5, float(power[2]) ** 0.5
+            # Noise in the normalization would take from the loop's gain, so from its bandwidth.
+            signal = np.maximum(power - seen.periods.shape[0] * seen.noise, 0.2 * power)
+            early, late = float(signal[0]) ** 0.5, float(signal[2]) ** 0.5
         slope = early_late_slope(self.spacing_chips, self.sample_chips, self.neighbour)
         error = self.discriminator(early, late, slope)
         gains = loop_gains(self.order, self.bandwidth_hz, seen.seconds)

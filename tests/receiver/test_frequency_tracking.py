@@ -190,16 +190,16 @@ def test_wrong_symbols_are_not_believed() -> None:
 @pytest.mark.parametrize("known", [False, True])
 def test_code_noise_is_that_of_the_loop(known: bool) -> None:
     """T(2.25) with sums of a symbol; of the whole window where its symbols are known."""
-    settings = replace(SETTINGS, code_bandwidths_hz=(3.0, 1.0, 0.4))
-    model = Model(_falls_to(21.0), seed=5)
+    settings = replace(SETTINGS, code_bandwidths_hz=(3.0, 1.0))
+    model = Model(_falls_to(24.0), seed=5)
     channel = start(model, settings)
     if known:
         _tell(channel, model, model.symbols)
     _, moments, _ = _follow(model, settings, 72.0, channel)
     code = np.array([m.code_chips for m in moments if m.t > 12.0])
     coherent_s = 0.32 if known else 0.02
-    sigma = dll_thermal_sigma_chips(21.0, 0.4, coherent_s, 0.25, np.inf, 1.023e6)
-    assert code.std() == pytest.approx(sigma, rel=0.2)
+    sigma = dll_thermal_sigma_chips(24.0, 1.0, coherent_s, 0.25, np.inf, 1.023e6)
+    assert code.std() == pytest.approx(sigma, rel=0.2)  # 120 independent ones
     assert abs(code.mean()) < 0.3 * sigma
     off_hz = np.array([m.off_hz for m in moments if m.t > 12.0])
     assert off_hz.std() < (0.13 if known else 0.3)
