@@ -11,9 +11,10 @@ import pandas as pd
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import GPS_L1CA
 from deepgnss.evaluate.observables import clock_free, satellite_sigmas, usual_satellites
-from deepgnss.evaluate.reproduce.front_end import loss_db
+from deepgnss.evaluate.reproduce.front_end import code_noise_ratio, loss_db
 from deepgnss.evaluate.reproduce.table import Figure
 from deepgnss.evaluate.reproduce.whole_receiver import Recording, observed, recorded, since
+from deepgnss.sim.scenario import FrontEnd
 from deepgnss.theory.tracking_error import dll_thermal_sigma_chips
 
 CHIP_M: Final = SPEED_OF_LIGHT_MPS / GPS_L1CA.chip_rate_hz
@@ -99,17 +100,16 @@ def measure(quick: bool, seeds: Sequence[int]) -> list[Figure]:
                 found[loop].append(spread(recording, loop))
             front_end = recording.scenario.streams[0].front_end
             cn0_dbhz = recording.scenario.emitters[0].cn0_dbhz[0][1] - loss_db(front_end)
-    width_hz = front_end.bandwidth_hz or front_end.sample_rate_hz
-    return [_figure(loop, found[loop], cn0_dbhz, width_hz) for loop in loops]
+    return [_figure(loop, found[loop], cn0_dbhz, front_end) for loop in loops]
 
 
-def _figure(loop: Loop, spreads: Sequence[Spread], cn0_dbhz: float, width_hz: float) -> Figure:
+def _figure(loop: Loop, spreads: Sequence[Spread], cn0_dbhz: float, front_end: FrontEnd) -> Figure:
     thermal_m = CHIP_M * dll_thermal_sigma_chips(
         cn0_dbhz,
         loop.bandwidth_hz,
         loop.coherent_s,
         loop.spacing_chips,
-        width_hz,
+        front_end.bandwidth_hz or front_end.sample_rate_hz,
         GPS_L1CA.chip_rate_hz,
     )
     table = pd.DataFrame(spreads)
@@ -120,6 +120,7 @@ def _figure(loop: Loop, spreads: Sequence[Spread], cn0_dbhz: float, width_hz: fl
     return Figure(
         str(loop),
         f"{100.0 * math.sqrt(variance_m2):.1f} cm = {ratio:.3f} (± {error:.3f}) ·"
-        f" {100.0 * thermal_m:.1f} cm at {cn0_dbhz:.1f} dB-Hz",
+        f" {100.0 * thermal_m:.1f} cm at {cn0_dbhz:.1f} dB-Hz;"
+        f" {code_noise_ratio(front_end, loop.spacing_chips):.2f} by the integral",
         abs(ratio - 1.0) <= LIMIT,
     )

@@ -53,3 +53,24 @@ def correlation(front_end: FrontEnd, signal: SignalId, prn: int) -> tuple[FloatA
     around = np.fft.irfft(shaped, code.size) / code.size
     lags = np.arange(-3 * _FINE, 3 * _FINE + 1)
     return lags / _FINE, around[lags]
+
+
+def code_noise_ratio(front_end: FrontEnd, spacing_chips: float) -> float:
+    """σ of an early-minus-late C/A loop behind this front end, over √(B·D / 2 C/N0).
+
+    The integral that T(2.25) stands for, and what it leaves out: the filter ripples the slope at
+    the taps, and a loop that expects 2/(2 − D) there is as much wider or narrower than told.
+    """
+    f_hz = np.linspace(-0.5, 0.5, _SPECTRUM) * front_end.sample_rate_hz
+    chips = f_hz / GPS_L1CA.chip_rate_hz
+    # Taps off prompt share out samples at chip edges: as if each lasted one sample.
+    passed = gain(front_end, f_hz) * np.sinc(f_hz / front_end.sample_rate_hz)
+    weight = np.sinc(chips) ** 2 * (chips[1] - chips[0])
+    turn = np.pi * spacing_chips * chips  # of a tap
+    level = float(weight @ (passed * np.cos(turn)))
+    steepness = float(weight @ (2.0 * np.pi * chips * passed * np.sin(turn)))
+    noise = float(weight @ (2.0 * passed**2 * np.sin(turn) ** 2))  # of early less late, halved
+    wider = steepness / level * (1.0 - 0.5 * spacing_chips)
+    filter_db = loss_db(front_end) - quantization_loss_db(front_end)
+    variance = wider * noise / (2.0 * steepness**2) * 10.0 ** (-0.1 * filter_db)
+    return math.sqrt(2.0 * variance / spacing_chips)

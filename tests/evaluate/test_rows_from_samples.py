@@ -10,7 +10,7 @@ import pytest
 
 from deepgnss.core.records import BDS_B1I, GPS_L1CA, SignalId
 from deepgnss.evaluate.reproduce import carrier_phase, code_noise, multipath, verdict
-from deepgnss.evaluate.reproduce.front_end import correlation, gain, loss_db
+from deepgnss.evaluate.reproduce.front_end import code_noise_ratio, correlation, gain, loss_db
 from deepgnss.evaluate.reproduce.table import Measure
 from deepgnss.sim.delays import receive
 from deepgnss.sim.orbits import orbit_of
@@ -131,3 +131,8 @@ def test_theory_through_a_wide_filter_is_near_that_of_the_triangle() -> None:
         ideal = multipath_error_chips(spacing, 0.5, delay, 0.0)
         through = multipath_error_chips(spacing, 0.5, delay, 0.0, curve)
         assert through == pytest.approx(ideal, rel=0.05)
+
+
+@pytest.mark.parametrize("spacing", [0.25, 0.5, 1.0])
+def test_integral_of_code_noise_is_the_formula_where_the_front_end_is_wide(spacing: float) -> None:
+    assert code_noise_ratio(FrontEnd(400.0e6), spacing) == pytest.approx(1.0, abs=0.01)
