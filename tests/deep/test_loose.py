@@ -82,7 +82,7 @@ def test_an_outage_by_itself_is_that_of_a_run_without_its_fixes(shared_data: Pat
         through_outage(run, Outage(1.0, 5.0))
 
 
-# After 10, 30, 60 s: RMS in m, and the largest error over its σ, at most; free and held by the road.
+# After 10, 30, 60 s: RMS in m and the largest error over its σ, at most; free, held by the road.
 LIMITS = {
     False: ((6.0, 3.0), (65.0, 3.0), (400.0, 3.0)),
     True: ((2.0, 2.0), (12.0, 2.0), (35.0, 2.0)),
