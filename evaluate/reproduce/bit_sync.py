@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepgnss.core.records import ComplexArray
+from deepgnss.evaluate.reproduce.sampled_symbols import sampled_prompts
 from deepgnss.evaluate.reproduce.table import Figure, percent
 from deepgnss.evaluate.reproduce.weak_symbols import CN0_DBHZ, PERIOD_S, received
 from deepgnss.receiver.signals import BDS_B1I_D1, GPS_L1CA_SIGNAL, Signal
@@ -83,7 +84,27 @@ def measure(quick: bool, seeds: Sequence[int]) -> list[Figure]:
                 wrong == 0,
             ),
         ]
+        if not quick:
+            right, count = _from_samples(signal, seeds[0])
+            figures.append(
+                Figure(f"{name}, 300 sums, from samples", percent(right, count), right == count)
+            )
     return figures
+
+
+def _from_samples(signal: Signal, seed: int) -> tuple[int, int]:
+    """Right decisions, and all, on stretches of simulated satellites from samples on."""
+    size, stretches = signal.symbol_periods, 3
+    length = (SUMS + 1) * size
+    right = 0
+    done = 0
+    for one in sampled_prompts(signal, (stretches * length + 3 * size) * PERIOD_S, seed):
+        for first in range(0, stretches * length, length):
+            prompts = one.prompts[first : first + length]
+            found = decide(signal, prompts, (one.edge - first) % size, one.noise)
+            right += found.energy and found.likelihood
+            done += 1
+    return right, done
 
 
 def _generators(seed: int, trials: int, signal: Signal) -> list[np.random.Generator]:

@@ -9,17 +9,20 @@ import numpy as np
 import pytest
 from simulated_sky import shared_sky
 
-from deepgnss.core.records import NavData
+from deepgnss.core.records import NavData, RunningSums
 from deepgnss.receiver import search as module
 from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings, SearchWindow
+from deepgnss.receiver.baseband import running_sums
 from deepgnss.receiver.search import (
     Place,
     Searcher,
     SearchSettings,
+    aim_of,
     predict_sights,
     window_of,
 )
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL, Signal
+from deepgnss.receiver.weak_search import WeakSettings, weak_search
 
 RATE_HZ = 2.6e6
 EPOCH = int(0.1 * RATE_HZ)
@@ -69,6 +72,26 @@ def test_a_place_of_another_time_gives_wider_windows() -> None:
     assert wide.doppler_half_hz - narrow.doppler_half_hz > 250.0 / 0.1903
     metres = (wide.code_half_chips - narrow.code_half_chips) * 293.05
     assert metres == pytest.approx(settings.moved_m, rel=1e-3)
+
+
+def test_a_long_search_where_predicted_sees_the_whole_strength() -> None:
+    """Wrong symbol edges would cost 1 dB or more, a wrong place everything."""
+    sky, sample = shared_sky(), 3_900_000
+    place = _place(sample)
+    sights = {s.satellite: s for s in predict_sights(place, sky.scenario.nav, GPS_L1CA_SIGNAL)}
+    settings = WeakSettings(0.4)
+
+    def read(first: int, count: int) -> RunningSums:
+        return running_sums(sky.read("L1", first, count), GPS_L1CA_SIGNAL.id.carrier_hz)
+
+    for emitter in sky.scenario.emitters:
+        aim = aim_of(sights[emitter.satellite], place, GPS_L1CA_SIGNAL, SearchSettings())
+        seen = weak_search(read, sample, GPS_L1CA_SIGNAL, emitter.prn, aim, settings, sky.rate_hz)
+        assert seen.found
+        assert seen.cn0_dbhz == pytest.approx(emitter.cn0_at(1.4), abs=0.6)
+        off = (seen.code_chips - aim.window.code_chips + 511.5) % 1023.0 - 511.5
+        assert abs(off) < 0.15
+        assert abs(seen.doppler_hz - aim.window.doppler_hz) < 4.0
 
 
 def test_sick_satellites_are_told_and_other_systems_left_out() -> None:
