@@ -33,12 +33,14 @@ from deepgnss.receiver.known_symbols import KnownSymbols, signs
 from deepgnss.receiver.locks import (
     FAINT_S,
     NO_LOCK,
+    USUAL_S,
     cn0_dbhz,
     faint_cn0_dbhz,
     false_lock_side,
     fast_cn0_dbhz,
     recent_cn0_dbhz,
     restart_phase,
+    surely_seen_dbhz,
     update_locks,
     update_powers,
 )
@@ -428,10 +430,12 @@ class Channel:
     def _detect(self, seen: Accumulated) -> None:
         symbol = self._whole_symbol(seen)
         if symbol is not None:
-            if self.mode is Mode.WEAK:
-                self.locks = update_powers(self.locks, symbol, FAINT_S)
+            size = self.signal.symbol_periods
+            if self.mode in (Mode.WEAK, Mode.HOLD):  # signs of short symbols are not to be had
+                slow_s = FAINT_S if self.mode is Mode.WEAK else USUAL_S
+                self.locks = update_powers(self.locks, symbol, slow_s, size)
             else:
-                self.locks = update_locks(self.locks, symbol, self.signal.symbol_periods)
+                self.locks = update_locks(self.locks, symbol, size)
         if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
             return
         if not self._heard:
@@ -561,7 +565,11 @@ class Channel:
                 elif (
                     self.edge is not None
                     and here_s > 0.5
-                    and back > settings.frequency_threshold_dbhz + _RETURN_DB
+                    and back
+                    > max(
+                        settings.frequency_threshold_dbhz + _RETURN_DB,
+                        surely_seen_dbhz(self.signal.symbol_periods, seen.period_s),
+                    )
                 ):
                     self._go(Mode.WEAK, f"signal back at {back:.1f} dB-Hz")
                 elif here_s > (

@@ -16,6 +16,7 @@ FAINT_S = 3.0  # the same in frequency tracking: 0.3 dB at 20 dB-Hz
 _FAST_S = 0.1  # averaging that notices a blockage
 _RECENT = 5  # intervals that notice the blockage of a strong signal
 _FAINT = 30  # intervals that notice that a weak one went or came
+_INTERVAL_S = 0.02
 _PHASE_S = 0.4  # averaging of what tells phase lock from false lock
 
 
@@ -60,8 +61,12 @@ def shifted_powers(symbols: ComplexArray) -> FloatArray:
     return np.asarray(sums.real**2 + sums.imag**2)
 
 
-def update_powers(state: LockState, seen: Accumulated, slow_s: float = USUAL_S) -> LockState:
+def update_powers(
+    state: LockState, seen: Accumulated, slow_s: float = USUAL_S, symbol_periods: int = 0
+) -> LockState:
     """Take one interval into the averages of signal and noise.
+
+    symbol_periods: of the parts of the interval that may be summed; 0: all of it.
 
     Inside a symbol the signal's power is that of the coherent sum less its noise, the noise that
     of the scatter about the mean; the ratio of narrow- to wide-band power, T(5.9–5.15), written
@@ -73,9 +78,11 @@ def update_powers(state: LockState, seen: Accumulated, slow_s: float = USUAL_S) 
         return state
     wide = float(np.vdot(prompts, prompts).real)
     if seen.coherent:
-        narrow = abs(seen.prompt) ** 2 / count
-        noise = (wide - narrow) / (count - 1)
-        signal = (narrow - noise) / count
+        size = symbol_periods or count
+        sums = prompts.reshape(-1, size).sum(axis=1) if size < count else np.array([seen.prompt])
+        narrow = float(np.vdot(sums, sums).real) / size
+        noise = (wide - narrow) / (count - sums.size)
+        signal = (narrow / sums.size - noise) / size
     else:
         neighbours = prompts[:-1].conj() * prompts[1:]
         signal = _blind_power(neighbours) if seen.blind else float(neighbours.real.mean())
@@ -152,6 +159,12 @@ def recent_cn0_dbhz(state: LockState, period_s: float) -> float:
 def faint_cn0_dbhz(state: LockState, period_s: float) -> float:
     """C/N0 of the last 0.6 s or so alone: 0.9 dB at 20 dB-Hz, and next to nothing for nothing."""
     return _cn0_dbhz(sum(state.recent) / _FAINT, state.noise, period_s)
+
+
+def surely_seen_dbhz(symbol_periods: int, period_s: float) -> float:
+    """What `faint_cn0_dbhz` of noise alone does not reach: six times its spread."""
+    symbols = _FAINT * _INTERVAL_S / (symbol_periods * period_s)
+    return 10.0 * math.log10(6.0 / (symbol_periods * math.sqrt(symbols) * period_s))
 
 
 def false_lock_side(state: LockState) -> int:

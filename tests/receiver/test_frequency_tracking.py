@@ -20,7 +20,7 @@ from deepgnss.receiver.frequency_tracking import (
 )
 from deepgnss.receiver.known_symbols import KnownSymbols, signs
 from deepgnss.receiver.modes import FrequencySettings, Mode, TrackingSettings
-from deepgnss.receiver.signals import BDS_B1I_D1
+from deepgnss.receiver.signals import BDS_B1I_D1, BDS_B1I_D2
 from deepgnss.receiver.spectral import fft_tone
 from deepgnss.receiver.trackers import Accumulated
 from deepgnss.theory.tracking_error import dll_thermal_sigma_chips
@@ -256,6 +256,23 @@ def test_secondary_codes_are_stripped() -> None:
     assert channel.mode is Mode.WEAK
     assert [what for t, what in events if t > 4.0] == []
     assert np.std([m.off_hz for m in moments if m.t > 8.0]) < 0.4
+
+
+def test_geostationary_satellites_are_held_and_come_back() -> None:
+    """Symbols of 2 ms: noise must not look like a signal where their signs are guessed."""
+    steps = ((0.0, 45.0), (4.0, 26.0), (9.0, -30.0), (11.5, 26.0))
+    model = Model(
+        lambda t: [level for at, level in steps if t >= at][-1],
+        seed=3,
+        signal=BDS_B1I_D2,
+        period_shift=1,
+    )
+    _, moments, events = _follow(model, SETTINGS, 16.0)
+    late = [(what, t) for t, what in events if t > 4.0]
+    assert [what for what, _ in late] == ["FFT", "hold", "FFT"]
+    assert 9.3 < late[1][1] < 10.8
+    assert 11.5 < late[2][1] < 12.5
+    assert abs(moments[-1].off_hz) < 0.5
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from deepgnss.receiver.locks import (
     recent_cn0_dbhz,
     restart_phase,
     update_locks,
+    update_powers,
 )
 from deepgnss.receiver.trackers import Accumulated
 
@@ -110,6 +111,20 @@ def test_short_symbols_shift_by_their_own_rate() -> None:
     assert false_lock_side(update_locks(NO_LOCK, _seen(turned), symbol_periods=2)) == 1
     assert false_lock_side(update_locks(NO_LOCK, _seen(turned.conj()), symbol_periods=2)) == -1
     assert false_lock_side(update_locks(NO_LOCK, _seen(signs + 0j), symbol_periods=2)) == 0
+
+
+@pytest.mark.parametrize("dbhz", [0.0, 27.0])
+def test_cn0_over_short_symbols_needs_no_signs(dbhz: float) -> None:
+    """Ten symbols of 2 ms in an interval, each by itself: nothing where there is nothing."""
+    generator = np.random.default_rng(3)
+    amplitude = np.sqrt(10.0 ** (0.1 * dbhz) * PERIOD_S) if dbhz > 0.0 else 0.0
+    state = NO_LOCK
+    for _ in range(400):
+        noise = (generator.standard_normal(20) + 1j * generator.standard_normal(20)) / 2**0.5
+        signs = np.repeat(generator.choice([-1.0, 1.0], 10), 2)
+        state = update_powers(state, _seen(signs * amplitude + noise), 8.0, 2)
+    assert state.signal == pytest.approx(amplitude**2, abs=0.03)
+    assert state.noise == pytest.approx(1.0, abs=0.03)
 
 
 def test_a_blockage_is_seen_in_a_tenth_of_a_second_and_its_end_too() -> None:
