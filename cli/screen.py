@@ -23,7 +23,14 @@ from deepgnss.core.records import STAGES, ChannelReport, NavSolution, SatelliteO
 if TYPE_CHECKING:  # pandas, which it needs, takes half a second to load
     from deepgnss.evaluate.errors import Statistics
 
-_MODE_STYLE = {"PLL": "green", "FLL": "yellow", "pull-in": "cyan", "hold": "magenta", "lost": "red"}
+_MODE_STYLE = {
+    "PLL": "green",
+    "FLL": "yellow",
+    "FFT": "yellow",
+    "pull-in": "cyan",
+    "hold": "magenta",
+    "lost": "red",
+}
 _LIVE_EVERY_S = 0.25
 _PLAIN_EVERY_S = 5.0
 
