@@ -36,7 +36,7 @@ def main() -> None:
                 [
                     name,
                     f"{length_s:g} s",
-                    f"{s.count}",
+                    f"{s.places}",
                     f"{s.rms_m:.2f}",
                     f"{s.largest_m:.2f}",
                     f"{s.sigma_m:.2f}",

@@ -82,7 +82,7 @@ def inertial_errors(epochs: Epochs, truth: Trajectory) -> InertialErrors:
         attitude = attitude_error_n(epochs.q_nb[covered], q_nb)
     return InertialErrors(
         epochs.time_s[covered],
-        tuple(time for time, known in zip(times, covered, strict=True) if known),
+        tuple(times[k] for k in np.flatnonzero(covered)),
         np.einsum("kij,kj->ki", to_n, d_r),
         epochs.antenna_v_n_mps[covered] - v_n,
         attitude,
@@ -139,7 +139,7 @@ def outages_along(
 class OutageStatistics(NamedTuple):
     """Of many outages: horizontal errors against the filter's own σ."""
 
-    count: int
+    places: int
     rms_m: float
     largest_m: float
     sigma_m: float  # RMS of what the filter says

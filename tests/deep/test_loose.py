@@ -100,7 +100,7 @@ def test_whole_real_drive_with_positions_withheld(shared_data: Path, held: bool)
         from_s = np.linspace(75.0, 525.0 - length_s, 10)
         statistics = outage_statistics(outages_along(run, length_s, from_s))
         print(length_s, statistics)
-        assert statistics.count == 10
+        assert statistics.places == 10
         assert statistics.rms_m < rms_m
         assert statistics.worst_ratio < worst
         assert 0.2 < statistics.ratio < 1.3  # neither overconfident nor saying nothing
