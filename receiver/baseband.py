@@ -7,7 +7,7 @@ look-ups per tap. Kernels here know samples and chips only, nothing of satellite
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -388,6 +388,23 @@ def running_sums(block: SampleBlock, carrier_hz: float) -> RunningSums:
         buffer.restart(block.first + skipped)
     buffer.append(SampleBlock(block.stream, block.first + skipped, block.samples[skipped:]))
     return buffer.sums
+
+
+class Correlator(Protocol):
+    """`correlate`, or what stands in for it."""
+
+    def __call__(
+        self,
+        sums: RunningSums,
+        command: NcoCommand,
+        runs: CodeRuns,
+        taps_chips: FloatArray,
+        periods: int,
+        skip: int = 0,
+        /,
+    ) -> ComplexArray:
+        """Correlations (periods, taps)."""
+        ...
 
 
 def correlate(

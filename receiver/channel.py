@@ -21,7 +21,7 @@ from deepgnss.core.records import (
     NcoCommand,
     RunningSums,
 )
-from deepgnss.receiver.baseband import correlate
+from deepgnss.receiver.baseband import Correlator, correlate
 from deepgnss.receiver.frequency_tracking import (
     LockWatch,
     always_squares,
@@ -120,8 +120,12 @@ class Channel:
         sample: int,
         code_chips: float,
         doppler_hz: float,
+        correlator: Correlator = correlate,
     ) -> None:
-        """Start at an integer sample with the code phase there (chips) and a Doppler."""
+        """Start at an integer sample with the code phase there (chips) and a Doppler.
+
+        correlator: what correlates with samples; a model may stand in for it.
+        """
         self.signal = signal
         self.satellite = signal.satellite(prn)
         self.settings = settings
@@ -136,6 +140,7 @@ class Channel:
         self.known: KnownSymbols | None = None  # symbols that need not be guessed
         self.slips = 0
         self.locks = NO_LOCK
+        self._correlator = correlator
         self._runs = code_runs(signal.id.name, prn)
         half = settings.spacing_chips / 2.0
         self._taps: FloatArray = np.array([half, 0.0, -half])
@@ -228,7 +233,7 @@ class Channel:
         chips = command.code_chips + there_s * (command.code_hz + 0.5 * there_s * command.code_hzps)
         ready = min(int(chips // self._length), self._taken.shape[0])
         if ready > self._filled:
-            self._taken[self._filled : ready] = correlate(
+            self._taken[self._filled : ready] = self._correlator(
                 sums, command, self._runs, self._taps, ready - self._filled, self._filled
             )
             self._filled = ready

@@ -10,8 +10,10 @@ from deepgnss.evaluate.reproduce import (
     bit_sync,
     carrier_phase,
     code_noise,
+    false_lock,
     frame_sync,
     multipath,
+    peaks,
 )
 from deepgnss.evaluate.reproduce.table import Row
 
@@ -75,6 +77,7 @@ ROWS: Final = (
         "correct-peak probability, 16 × 20 ms: FFT, PFFT(3), SFFT, PSFFT(3)",
         "figure 3.4",
         "within Monte-Carlo error of T(3.26–3.27)",
+        peaks.measure,
     ),
     Row(
         "FFT-20G",
@@ -101,6 +104,7 @@ ROWS: Final = (
         "false lock at ±25 Hz forced at 20–45 dB-Hz",
         "detected",
         "detected and corrected ≤ 2 s, ≥ 99 %",
+        false_lock.measure,
     ),
     Row("OL-S1", "static, 1 satellite blocked 20 s: phase error < 0.05 cycle", "100 %", "100 %"),
     Row(

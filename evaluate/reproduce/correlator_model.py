@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, cast
-from unittest import mock
 
 import numpy as np
 
 from deepgnss.core.records import ComplexArray, FloatArray, NcoCommand, RunningSums
-from deepgnss.receiver import channel as channel_module
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.modes import TrackingSettings
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL, Signal
@@ -32,6 +29,7 @@ class Model:
     signal: Signal = GPS_L1CA_SIGNAL
     period_shift: int = 7  # symbols start at code periods 7, 27, …
     clock_cycles: Callable[[FloatArray], FloatArray] | None = None
+    jump: tuple[float, float] = (0.0, 0.0)  # second from which the Doppler is higher by Hz
     symbols: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -39,8 +37,16 @@ class Model:
         self.symbols = self._generator.choice((-1.0, 1.0), 200_000)
 
     def phase_cycles(self, t: FloatArray) -> FloatArray:
+        """Carrier at seconds since sample 0, running at +Doppler."""
         clock = self.clock_cycles(t) if self.clock_cycles else 0.0
-        return np.asarray(PHASE_0 + t * (self.doppler_hz + 0.5 * t * self.rate_hzps) + clock)
+        jumped = self.jump[1] * np.maximum(t - self.jump[0], 0.0)
+        steady = PHASE_0 + t * (self.doppler_hz + 0.5 * t * self.rate_hzps)
+        return np.asarray(steady + jumped + clock)
+
+    def doppler_at_hz(self, t: FloatArray) -> FloatArray:
+        """Doppler without the clock's part."""
+        jumped = np.where(t > self.jump[0], self.jump[1], 0.0)
+        return np.asarray(self.doppler_hz + t * self.rate_hzps + jumped)
 
     def code_chips(self, t: FloatArray) -> FloatArray:
         """Since sample 0, whole periods included."""
@@ -54,17 +60,17 @@ class Model:
         _runs: object,
         taps: FloatArray,
         count: int,
-        skip: int,
+        skip: int = 0,
     ) -> ComplexArray:
         """As `baseband.correlate`."""
         length = self.signal.id.code_chips
         local_chips = (skip + np.arange(count) + 0.5) * length
         s = (local_chips - command.code_chips) / command.code_hz
         s -= 0.5 * command.code_hzps * s * s / command.code_hz
-        t = command.sample / RATE_HZ + s
+        t = np.asarray(command.sample / RATE_HZ + s, dtype=np.float64)
         turn = self.phase_cycles(t) - command.carrier_cycles
         turn -= s * (command.carrier_hz + 0.5 * s * command.carrier_hzps)
-        off_hz = self.doppler_hz + t * self.rate_hzps - command.carrier_hz
+        off_hz = self.doppler_at_hz(t) - command.carrier_hz
         chips = self.code_chips(t)
         period = np.round(chips / length - 0.5).astype(np.int64)
         delay = chips - (period + 0.5) * length
@@ -100,19 +106,12 @@ def start(
         sample=round(0.001 * RATE_HZ),
         code_chips=(chips + code_error_chips) % model.signal.id.code_chips,
         doppler_hz=model.doppler_hz + doppler_error_hz,
+        correlator=model,
     )
-
-
-@contextmanager
-def modelled(model: Model) -> Iterator[None]:
-    """Channels see the model in place of samples."""
-    with mock.patch.object(channel_module, "correlate", model):
-        yield
 
 
 def run(
     channel: Channel,
-    model: Model,
     end_s: float,
     seen: Callable[[Channel], Any] | None = None,
     epoch_s: float = 0.1,
@@ -120,11 +119,10 @@ def run(
     """Run a channel up to a time, epoch by epoch; what `seen` made of it after each."""
     found: list[Any] = []
     t = channel.command.sample / RATE_HZ
-    with modelled(model):
-        while t < end_s:
-            t = min(t + epoch_s, end_s)
-            channel.begin_epoch()
-            channel.run(cast(RunningSums, SimpleNamespace(end=round(t * RATE_HZ))))
-            if seen is not None:
-                found.append(seen(channel))
+    while t < end_s:
+        t = min(t + epoch_s, end_s)
+        channel.begin_epoch()
+        channel.run(cast(RunningSums, SimpleNamespace(end=round(t * RATE_HZ))))
+        if seen is not None:
+            found.append(seen(channel))
     return found
