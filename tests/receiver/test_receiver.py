@@ -49,7 +49,7 @@ def _receiver(knowledge: Knowledge) -> Receiver:
 def test_with_time_place_and_orbits_the_first_epoch_knows_all() -> None:
     """Channels start with transmit time and symbol edges, no frame has been seen."""
     sky = shared_sky()
-    place_e_m = sky.scenario.vehicle.at(np.zeros(1)).r_m[0]
+    place_e_m = sky.scenario.vehicle.point(np.zeros(1)).r_m[0]
     knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m + 500.0)
     receiver = _receiver(knowledge)
     receiver.step({"GPS_L1CA": _feed()}, 0, 260_000)
