@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import click
 from rich.console import Console
 from rich.table import Table
 
-from deepgnss.evaluate.reproduce import ROWS, rows_named, verdict
+from deepgnss.evaluate.reproduce import ROWS, Figure, rows_named, verdict
 
 _MISSED = 1
 
@@ -27,9 +28,6 @@ def reproduce(only: tuple[str, ...], quick: bool, seeds: int) -> None:
     """Measure the figures of the publications again; exit code 1 when one misses its target."""
     console = Console(highlight=False)
     rows = rows_named(only)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for head in ("id", "figure", "published", "target", "ours", "", "s"):
-        table.add_column(head, overflow="fold", justify="right" if head == "s" else "left")
     missed = []
     waiting = [row.id for row in rows if row.measure is None]
     for row in rows:
@@ -39,16 +37,21 @@ def reproduce(only: tuple[str, ...], quick: bool, seeds: int) -> None:
             began = time.perf_counter()
             figures = row.measure(quick, range(1, seeds + 1))
             took_s = time.perf_counter() - began
-        table.add_row(row.id, row.scenario, row.published, row.target, "", "", f"{took_s:.0f}")
-        for figure in figures:
-            judged = {True: "met", False: "[red]missed[/]", None: ""}[figure.met]
-            table.add_row("", f"  {figure.what}", "", "", figure.ours, judged, "")
+        console.print(f"[bold]{row.id}[/]  {row.scenario}  [dim]({took_s:.0f} s)[/]")
+        console.print(f"  published {row.published}; target {row.target}")
+        console.print(_table(figures))
         if not verdict(figures):
             missed.append(row.id)
-    if table.row_count:
-        console.print(table)
     if waiting:
         console.print(f"not yet ({len(waiting)} of {len(ROWS)}): {', '.join(waiting)}", style="dim")
     if missed:
         console.print(f"missed: {', '.join(missed)}", style="red")
         raise click.exceptions.Exit(_MISSED)
+
+
+def _table(figures: Sequence[Figure]) -> Table:
+    table = Table.grid(padding=(0, 2), pad_edge=True)
+    for figure in figures:
+        judged = {True: "[green]met[/]", False: "[red]missed[/]", None: ""}[figure.met]
+        table.add_row(figure.what, figure.ours, judged)
+    return table
