@@ -25,13 +25,15 @@ from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock
 from deepgnss.receiver.feed import SumFeed
-from deepgnss.receiver.known_symbols import KnownSymbols
+from deepgnss.receiver.known_symbols import KnownSymbols, Sent, foretold, remembered, signs
 from deepgnss.receiver.messages import Frame, Subframe
 from deepgnss.receiver.modes import Mode, TrackingSettings
 from deepgnss.receiver.observables import PhaseMemory, observe
 from deepgnss.receiver.search import Place, Searcher, SearchSettings, Sight
 from deepgnss.receiver.signals import Signal
 from deepgnss.receiver.smoothing import HatchState, smooth
+
+_FORETOLD_S = 0.7  # that must be known ahead: a window and more
 
 
 class Head(NamedTuple):
@@ -70,6 +72,7 @@ class Bank:
         self._tracking = tracking
         self._known = known
         self._frames: dict[int, framing.FrameState] = {}
+        self._sent: dict[int, Sent] = {}
         self._memory: dict[int, PhaseMemory] = {}
         self._hatch: dict[int, HatchState] = {}
         self._searcher = Searcher(signal, acquisition, searching, sample_rate_hz)
@@ -179,6 +182,9 @@ class Bank:
                 continue
             found = framing.read_symbols(self._frames[prn], channel, date)
             self._frames[prn] = found.state
+            for subframe in found.subframes:
+                before = self._sent.get(prn, {})
+                self._sent[prn] = remembered(before, subframe, self.signal.message)
             for frame in found.heads:
                 self.heads[prn] = Head(channel, channel.symbols_first, frame)
             if found.subframes or found.news:
@@ -202,6 +208,31 @@ class Bank:
                 half_cycle = framing.polarity(channel, known)
                 if half_cycle is not None:
                     channel.set_polarity(half_cycle)
+
+    def foretell_symbols(self) -> None:
+        """Tell channels that track the frequency alone which symbols come, as far as known."""
+        for prn, channel in self.channels.items():
+            if channel.mode is not Mode.WEAK or channel.anchor is None:
+                continue
+            now = channel.anchor + channel.periods
+            ahead = round(_FORETOLD_S / self.signal.period_s)
+            known = channel.known
+            if (
+                known is not None
+                and signs(
+                    known, now, ahead // self.signal.symbol_periods, self.signal.symbol_periods
+                )
+                is not None
+            ):
+                continue
+            told = foretold(
+                self._sent.get(prn, {}),
+                self.signal.message,
+                now,
+                round(1.0 / self.signal.period_s),
+                self.signal.symbol_periods,
+            )
+            channel.known = told or known
 
     # --- observables ---------------------------------------------------------------------------
 

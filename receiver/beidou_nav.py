@@ -39,6 +39,7 @@ BDT_WEEK_OFFSET: Final = 1356
 """GPS week of BeiDou week 0."""
 
 _HEAD_BITS: Final = 2 * WORD_BITS
+_SOW_BITS: Final = 20
 _CYCLE_S: Final = 30.0  # of all pages of an ephemeris, D1 and D2
 _SET_S: Final = 3600.0  # sets change on the full hour of BDT
 _MOST_CORRECTED: Final = 4  # of 19 code words: a subframe with more of them is not believed
@@ -404,7 +405,15 @@ def _format(kind: _Kind) -> MessageFormat:
     )
 
 
-D1: Final = _format(_D1)
+def sent_again(subframe: BeidouSubframe, start_tow_s: int) -> Bits:
+    """The 300 bits of a subframe of D1 when it is sent at another time: only its second differs."""
+    sow_s = int(start_tow_s + BDT_MINUS_GPST_S) % SECONDS_PER_WEEK
+    behind = INFORMATION_BITS - HEADER_BITS
+    head = subframe.information >> (behind + _SOW_BITS)
+    return encode_words((head << _SOW_BITS | sow_s) << behind | subframe.payload)
+
+
+D1: Final = replace(_format(_D1), again=sent_again, almanac_s=720)
 """The message of BeiDou MEO and IGSO satellites on B1I."""
 D2: Final = _format(_D2)
 """The message of BeiDou GEO satellites on B1I."""

@@ -492,6 +492,14 @@ def _iono_utc_values(klobuchar: Klobuchar, utc: UtcParameters) -> dict[str, floa
     }
 
 
+def sent_again(subframe: Subframe, start_tow_s: int) -> Bits:
+    """The 300 bits of a subframe when it is sent at another time: only its count differs."""
+    words = list(subframe.words)
+    count = (start_tow_s // SUBFRAME_S + 1) % _TOW_COUNTS
+    words[1] = words[1] & ((1 << 7) - 1) | count << 7
+    return encode_words(words)
+
+
 LNAV: Final = MessageFormat(
     name="LNAV",
     subframe_symbols=SUBFRAME_BITS,
@@ -499,5 +507,6 @@ LNAV: Final = MessageFormat(
     start=start,
     find_frames=find_frames,
     collect=collect,
+    again=sent_again,
 )
 """The message of GPS L1 C/A."""

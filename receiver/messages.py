@@ -59,6 +59,8 @@ class MessageFormat:
     """A format's constants and functions. `start` gives the record that `collect` passes on.
 
     collect: (record, subframe, rough date for the week number) → (record, what is new).
+    again: (subframe, start_tow_s) → its symbols when it is sent once more; None where it is not
+    known to be. The first three come every frame, the others with the almanac.
     """
 
     name: str
@@ -67,6 +69,9 @@ class MessageFormat:
     start: Callable[[str], Any]
     find_frames: Callable[[Bits, int], list[Frame]]
     collect: Callable[[Any, Any, GpsTime | None], tuple[Any, tuple[News, ...]]]
+    again: Callable[[Any, int], Bits] | None = None
+    frame_s: int = 30
+    almanac_s: int = 750
 
 
 def nearest(tow_s: float, reference: GpsTime) -> GpsTime:

@@ -266,6 +266,7 @@ class Receiver:
         self._take_heads()
         for bank in self.banks:
             bank.take_known_polarities()
+            bank.foretell_symbols()
         for channel in self.channels:
             if channel.anchor is not None:
                 self.accounts.advance(channel.satellite, "frame sync")
