@@ -102,7 +102,7 @@ class Bank:
         for seen, sight in outcomes:
             accounts.searched(seen)
             if seen.found:
-                events.append(self._take(seen, first, sight, clock))
+                events += self._take(seen, first, sight, clock)
         return events
 
     def _as_seen(self, channel: Channel, prn: int, sample: int) -> Acquisition:
@@ -125,7 +125,7 @@ class Bank:
 
     def _take(
         self, seen: Acquisition, first: int, sight: Sight | None, clock: ReceiverClock | None
-    ) -> Event:
+    ) -> list[Event]:
         """Give a found satellite a channel."""
         channel = Channel(
             self.signal,
@@ -145,11 +145,14 @@ class Bank:
         self._memory[seen.prn] = PhaseMemory()
         if sight is not None and clock is not None:
             self._anchor_by_prediction(channel, sight, first, clock)
+            if seen.cn0_dbhz < self._tracking.phase_threshold_dbhz:
+                channel.begin_weak(seen.cn0_dbhz)
         detail = (
             f"peak {seen.peak_ratio:.1f} of {seen.threshold:.1f} needed, "
             f"{seen.cn0_dbhz:.1f} dB-Hz at {seen.doppler_hz:+.0f} Hz"
         )
-        return Event(first, seen.satellite, "acquired", detail)
+        told, channel.events = channel.events, []
+        return [Event(first, seen.satellite, "acquired", detail), *told]
 
     def _anchor_by_prediction(
         self, channel: Channel, sight: Sight, first: int, clock: ReceiverClock

@@ -681,6 +681,10 @@ class Channel:
         self._since = self.command.sample
         self._note(mode.value, reason)
 
+    def begin_weak(self, cn0_dbhz: float) -> None:
+        """Start in frequency tracking: found where it was predicted, too weak to be pulled in."""
+        self._go(Mode.WEAK, f"found at {cn0_dbhz:.1f} dB-Hz")
+
     def drop(self, reason: str) -> None:
         """Stop tracking."""
         self.mode = Mode.LOST

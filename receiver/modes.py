@@ -21,7 +21,7 @@ class Mode(Enum):
 
 # Every change of mode there is; the channel refuses any other.
 TRANSITIONS: dict[Mode, frozenset[Mode]] = {
-    Mode.PULL_IN: frozenset({Mode.FREQUENCY, Mode.LOST}),
+    Mode.PULL_IN: frozenset({Mode.FREQUENCY, Mode.WEAK, Mode.LOST}),
     Mode.FREQUENCY: frozenset({Mode.PHASE, Mode.WEAK, Mode.HOLD}),
     Mode.PHASE: frozenset({Mode.FREQUENCY, Mode.WEAK, Mode.HOLD}),
     Mode.WEAK: frozenset({Mode.PHASE, Mode.HOLD}),

@@ -310,3 +310,21 @@ def test_ten_minutes_of_phase_at_26_dbhz_without_loss() -> None:
         _, moments, events = _follow(model, settings, 603.0)
         assert [what for t, what in events if t > 4.5] == []
         assert all(m.phase_valid for m in moments if m.t > 4.5)
+
+
+@pytest.mark.parametrize("cn0_dbhz", [22.0, 27.0])
+def test_a_satellite_found_weak_where_predicted_starts_in_frequency_tracking(
+    cn0_dbhz: float,
+) -> None:
+    model = Model(lambda _: cn0_dbhz, seed=12)
+    channel = start(model, SETTINGS, doppler_error_hz=2.0, code_error_chips=0.05)
+    chips = model.code_chips(np.array([channel.command.sample / RATE_HZ]))[0]
+    begun = round(chips / channel.signal.id.code_chips)  # code periods before the channel's first
+    channel.set_edge(model.period_shift - begun, "predicted travel time")
+    channel.begin_weak(cn0_dbhz)
+    _, moments, events = _follow(model, SETTINGS, 20.0, channel)
+    assert not {"hold", "lost"} & {what for _, what in events}
+    late = [m for m in moments if m.t > 5.0]
+    assert all(m.mode is Mode.WEAK and m.code_valid for m in late)
+    assert max(abs(m.off_hz) for m in late) < 2.0
+    assert abs(np.mean([m.cn0_dbhz for m in late]) - cn0_dbhz) < 0.7
