@@ -56,7 +56,8 @@ def recorded(scenario: str, seed: int, *settings: str) -> Iterator[Recording]:
 def observed(recording: Recording, *settings: str) -> pd.DataFrame:
     """Errors (`range_errors`) of the RINEX observations that the receiver makes of a recording.
 
-    It starts once, with the NAV file and the rough place; settings: KEY=VALUE of the run.
+    It starts once, with the NAV file and the rough place; phases count once their half cycle is
+    known. settings: KEY=VALUE of the run.
     """
     out = recording.folder / "out"
     given = (f"nav={recording.folder / 'nav.rnx'}", f"position={list(recording.place)}")
@@ -76,7 +77,10 @@ def observed(recording: Recording, *settings: str) -> pd.DataFrame:
                 accounts = engine.receiver.accounts
                 outputs.finish(engine.receiver.nav, accounts.outcomes, {})
     (rinex,) = out.glob("*O.rnx")
-    return range_errors(read_observations(rinex), read_ranges(recording.folder / "ranges.csv"))
+    observations = read_observations(rinex)
+    whole = observations["carrier_cycles"].where(~observations["half_cycle"])
+    ranges = read_ranges(recording.folder / "ranges.csv")
+    return range_errors(observations.assign(carrier_cycles=whole), ranges)
 
 
 def since(errors: pd.DataFrame, seconds: float) -> pd.DataFrame:

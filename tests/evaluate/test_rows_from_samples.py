@@ -95,7 +95,8 @@ def test_loss_of_a_wide_front_end_is_the_converters(signal: SignalId) -> None:
 
 
 def test_a_filter_rounds_the_correlation_and_leaves_its_flanks() -> None:
-    chips, value = correlation(FrontEnd(34.71e6, bandwidth_hz=32.0e6), GPS_L1CA, 14)
+    front_end = FrontEnd(320.0e6, bandwidth_hz=32.0e6, filter_taps=1023)
+    chips, value = correlation(front_end, GPS_L1CA, 14)
     at = dict(zip(chips.round(6).tolist(), value.tolist(), strict=True))
     outside = 2.0 * GPS_L1CA.chip_rate_hz / (32.0e6 * np.pi**2)  # of sinc², beyond the band
     assert at[0.0] == pytest.approx(1.0 - outside, abs=1e-3)
