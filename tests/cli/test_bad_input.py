@@ -236,8 +236,8 @@ def test_interrupt_leaves_valid_files(
 ) -> None:
     write = Outputs.write
 
-    def until_interrupted(self: Outputs, result: object) -> None:
-        write(self, result)
+    def until_interrupted(self: Outputs, *result: object) -> None:
+        write(self, *result)
         if self.tally.epochs == 3:
             os.kill(os.getpid(), number)
 

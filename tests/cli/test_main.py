@@ -134,7 +134,7 @@ def test_config_check_misses_files_and_show_does_not():
     assert run.exit_code == 2 and "imu.file" in run.stderr and "truth.file" in run.stderr
     run = CliRunner().invoke(cli, ["config", str(EXAMPLE), "--show"])
     assert run.exit_code == 0 and "sample_rate: 4000000.0" in run.stdout
-    assert "note: imu: aiding is not in this version" in run.stderr
+    assert "note: signals: BDS_B1I lies outside of every stream" in run.stderr
 
 
 def test_config_schema_is_pure_json():
