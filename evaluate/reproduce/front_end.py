@@ -35,6 +35,11 @@ def gain(front_end: FrontEnd, frequency_hz: FloatArray) -> FloatArray:
     return out
 
 
+def _tap(front_end: FrontEnd, frequency_hz: FloatArray) -> FloatArray:
+    """Taps off prompt share out samples at chip edges: as if each lasted one sample."""
+    return np.sinc(frequency_hz / front_end.sample_rate_hz)
+
+
 def _spectrum(front_end: FrontEnd, signal: SignalId) -> tuple[FloatArray, FloatArray]:
     """Frequencies over the chip rate, images of the sampled band too; power of a code at each."""
     width = 2 * _IMAGES + 1
@@ -59,11 +64,12 @@ def loss_db(front_end: FrontEnd, signal: SignalId = GPS_L1CA) -> float:
 
 
 def correlation(front_end: FrontEnd, signal: SignalId, prn: int) -> tuple[FloatArray, FloatArray]:
-    """Correlation of a filtered periodic code with its replica within ±3 chips: (chips, value)."""
+    """Correlation of a filtered periodic code with taps off prompt, ±3 chips: (chips, value)."""
     code = np.repeat(signal_of(signal.name, prn).primary_code(prn).astype(np.float64), _FINE)
     spectrum = np.abs(np.fft.rfft(code)) ** 2
     hz = np.fft.rfftfreq(code.size, 1.0 / (_FINE * signal.chip_rate_hz)).astype(np.float64)
-    around = np.fft.irfft(spectrum * gain(front_end, hz), code.size) / code.size
+    passed = gain(front_end, hz) * _tap(front_end, hz)
+    around = np.fft.irfft(spectrum * passed, code.size) / code.size
     lags = np.arange(-3 * _FINE, 3 * _FINE + 1)
     return lags / _FINE, around[lags]
 
@@ -76,8 +82,7 @@ def code_noise_ratio(front_end: FrontEnd, spacing_chips: float) -> float:
     """
     chips, weight = _spectrum(front_end, GPS_L1CA)
     f_hz = chips * GPS_L1CA.chip_rate_hz
-    # Taps off prompt share out samples at chip edges: as if each lasted one sample.
-    passed = gain(front_end, f_hz) * np.sinc(f_hz / front_end.sample_rate_hz)
+    passed = gain(front_end, f_hz) * _tap(front_end, f_hz)
     turn = np.pi * spacing_chips * chips  # of a tap
     level = float(weight @ (passed * np.cos(turn)))
     steepness = float(weight @ (2.0 * np.pi * chips * passed * np.sin(turn)))
