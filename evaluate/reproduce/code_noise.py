@@ -70,7 +70,10 @@ def settings(loop: Loop) -> tuple[str, ...]:
 
 
 class Spread(NamedTuple):
-    """Mean variance of the satellites' ranges, and the seconds × satellites it comes from."""
+    """Mean variance of the satellites' ranges, and the seconds × satellites it comes from.
+
+    One satellite is lost to what all have in common.
+    """
 
     variance_m2: float
     seconds: float
@@ -86,7 +89,7 @@ def spread(recording: Recording, loop: Loop) -> Spread:
     tau_s = 1e-3 * float(table.index[-1] - table.index[0])
     variance_m2 = float((satellite_sigmas(table) ** 2).mean())
     kept = 1.0 - 1.0 / (2.0 * loop.bandwidth_hz * tau_s)
-    return Spread(variance_m2 / kept, tau_s * table.shape[1])
+    return Spread(variance_m2 / kept, tau_s * (table.shape[1] - 1))
 
 
 def measure(quick: bool, seeds: Sequence[int]) -> list[Figure]:
