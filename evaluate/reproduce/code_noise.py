@@ -52,7 +52,8 @@ LOOPS: Final = (
     Loop(0.125, 0.001, 0.1, 120.0),  # T's loop 2
     Loop(0.125, 0.020, 0.1, 120.0),  # T's loop 3
 )
-QUICK_LOOPS: Final = (Loop(1.0, 0.001, 3.0, _QUICK_S), Loop(0.125, 0.020, 3.0, _QUICK_S))
+# Wide ones: seconds then hold enough independent samples.
+QUICK_LOOPS: Final = (Loop(1.0, 0.001, 8.0, _QUICK_S), Loop(0.125, 0.020, 8.0, _QUICK_S))
 
 
 def settings(loop: Loop) -> tuple[str, ...]:
@@ -65,7 +66,7 @@ def settings(loop: Loop) -> tuple[str, ...]:
         f" spacing: {loop.spacing_chips}}}",
         f"recording.duration={loop.seconds}",
         "acquisition.doppler_max=4.0e+3",  # at rest no satellite has more
-        "output.interval=0.1",
+        "output.interval=0.05",
     )
 
 
@@ -93,7 +94,7 @@ def spread(recording: Recording, loop: Loop) -> Spread:
 
 
 def measure(quick: bool, seeds: Sequence[int]) -> list[Figure]:
-    """σ over T(2.25) of every loop; quick: two of them with 3 Hz, 11 s of one seed."""
+    """σ over T(2.25) of every loop; quick: two with 8 Hz, 11 s of one seed."""
     loops, chosen = (QUICK_LOOPS, seeds[:1]) if quick else (LOOPS, seeds)
     short = (f"seconds={_QUICK_S}",) if quick else ()
     found: dict[Loop, list[Spread]] = {loop: [] for loop in loops}
