@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deepgnss.core.loops import settling_time_s
 from deepgnss.core.records import (
     ChannelReport,
     ComplexArray,
@@ -84,6 +85,7 @@ _RETURN_DB = 1.0  # above the threshold of frequency tracking: it is taken up ag
 _DOUBTED_DB = 3.0  # below the threshold of frequency tracking: a window with nothing to follow
 _ABSENT_DB = 7.0  # below that threshold: nothing is there
 _FAINT_S = 2.5  # of frequency tracking before its C/N0 is believed
+_SETTLING_WINDOWS = 3  # after which a code loop on windows is believed
 _LOOP_PRODUCT = 0.4  # bandwidth × window: a wider code loop does not settle
 _HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
 
@@ -180,7 +182,7 @@ class Channel:
         self._frequency_error_hz = 0.0
         self._acquired_hz = doppler_hz
 
-        self._restart_code_loop(sample)
+        self._restart_code_loop(sample, settings.pull_in_s)
         self.periods = 0
         self._carrier = NcoState(0.0, doppler_hz, 0.0)
         self._code_offset_hz = 0.0
@@ -360,9 +362,21 @@ class Channel:
             return self._blind_tracker
         return self._carrier_trackers.get(self.mode, self._carrier_trackers[Mode.FREQUENCY])
 
-    def _restart_code_loop(self, sample: int) -> None:
+    def _restart_code_loop(self, sample: int, settled_s: float) -> None:
+        """Begin the bandwidth schedule anew; ranges count once the loop has settled."""
         self._code_since = sample
+        self._code_settled_s = settled_s
         self._code_tracker = self._delay_lock(self.settings.code_bandwidths_hz[0])
+
+    def _settling_s(self, mode: Mode) -> float:
+        """Time a code loop takes that starts in a mode some way off."""
+        if mode is Mode.WEAK:
+            return _SETTLING_WINDOWS * self._window_updates * self.signal.update_s
+        return settling_time_s(self.settings.code_bandwidths_hz[0])
+
+    @property
+    def _code_settled(self) -> bool:
+        return self._seconds_since(self._code_since) > self._code_settled_s
 
     def _delay_lock(self, bandwidth_hz: float) -> DelayLock:
         settings = self.settings
@@ -672,8 +686,8 @@ class Channel:
         self._restart_window()
         if mode is Mode.FREQUENCY:
             self._bit_sync = start_bit_sync(self.signal.secondary, coded=self._coded)
-        if self.mode is Mode.HOLD:
-            self._restart_code_loop(self.command.sample)
+        if self.mode is Mode.HOLD or (self.mode is Mode.WEAK and not self._code_settled):
+            self._restart_code_loop(self.command.sample, self._settling_s(mode))
         if mode is Mode.WEAK:  # its long average is not to begin with what was stronger
             self.locks = self.locks._replace(seconds=0.0)
         self._frequency_error_hz = 0.0
@@ -715,7 +729,7 @@ class Channel:
         return Interval(
             self.command,
             self.periods,
-            settled and self._seconds_since(self._code_since) > self.settings.pull_in_s,
+            settled and self._code_settled,
             self._phase_valid,
             self.slips,
             self._phase_since,
