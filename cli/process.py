@@ -29,7 +29,7 @@ from deepgnss.deep.consistency import TOLERATED_MPS, check_agreement, check_week
 from deepgnss.deep.coupled import CoupledNavigation, couple
 from deepgnss.deep.engine import Engine, ScoutPass, workers
 from deepgnss.deep.outputs import FILES, Outputs
-from deepgnss.deep.setup import RunPlan, limits, plan_run
+from deepgnss.deep.setup import RunPlan, limits, plan_run, receiver_settings
 from deepgnss.io.config import Config, load_config, notes
 from deepgnss.io.folder import prepare_folder, written
 from deepgnss.io.formats import StreamFormat
@@ -78,8 +78,8 @@ def process(
         knowledge, usable = None, True
         for name, one in runs.items():
             prepare_folder(one.output.directory, FILES)
-            settings = plan_run(one, opened.streams, description.start).settings
-            run = _Run(one, replace(plan, settings=settings), recording, forms, opened, screen)
+            own = replace(plan, settings=receiver_settings(one))
+            run = _Run(one, own, recording, forms, opened, screen)
             if name:
                 screen.note(f"{name}: {one.output.directory}")
             knowledge = knowledge or run.scouted()
@@ -94,6 +94,8 @@ def _aided_and_unaided(config: Config) -> dict[str, Config]:
     """The same run with and without aiding, in folders of their own."""
     if config.imu is None:
         raise ConfigError("imu: found nothing; --both needs the log of an inertial unit")
+    if not config.output.csv:
+        raise ConfigError("output.csv: found false; --both compares the tables of its two runs")
     folder = Path(config.output.directory)
     runs = {}
     for name, enabled in (("aided", True), ("unaided", False)):
@@ -110,7 +112,8 @@ def _print_worth(folders: Mapping[str, Path], config: Config) -> None:
     table.add_column("")
     for name in folders:
         table.add_column(name, justify="right")
-    for row in worth(list(folders.values()), config.truth is not None):
+    judged = config.truth is not None and config.output.report
+    for row in worth(list(folders.values()), judged):
         table.add_row(*row)
     Console().print(table)
 

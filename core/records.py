@@ -372,19 +372,3 @@ class InsState:
     accel_bias_mps2: FloatArray  # (3,)
     gyro_scale: FloatArray  # (3,)
     accel_scale: FloatArray  # (3,)
-
-
-@dataclass(frozen=True, slots=True)
-class Aiding:
-    """What the navigation knows of one satellite over an epoch, for the loops.
-
-    doppler_hz: shape (n,), at `first + k·step` samples, linear in between; all zeros when there
-    is no aiding. Signs as `Observation`.
-    """
-
-    first: int
-    step: int
-    doppler_hz: FloatArray
-    doppler_sigma_hz: float
-    range_m: float | None = None  # predicted pseudorange at the epoch's end
-    range_sigma_m: float | None = None

@@ -33,6 +33,7 @@ from deepgnss.ins import (
     smoothed,
 )
 from deepgnss.ins.error_model import ProcessNoise
+from deepgnss.ins.fixes import with_lasting_errors
 from deepgnss.ins.increments import SAME_INSTANT_S, between, joined
 from deepgnss.ins.integration import SAME_EPOCH_S
 from deepgnss.ins.measurements import body_point
@@ -135,26 +136,24 @@ def read_inputs(config: Config, gnss_file: Path) -> Inputs:
 
 
 def _fixes(log: GnssLog, errors: GnssErrorConfig) -> tuple[GnssFix, ...]:
-    """Fixes with what their σ leaves out.
-
-    Errors that last for τ leave a mean over T the variance σ²·2τ/T; white ones at a distance Δt
-    would leave R·Δt/T. So many of them count as one with R = σ²·2τ/Δt.
-    """
+    """Fixes with what their σ leaves out."""
     weeks_s = (log.week - log.week[0]) * SECONDS_PER_WEEK
     steps_s = np.diff(weeks_s + log.tow_s)
     usual_s = float(np.median(steps_s)) if steps_s.size else 1.0
-    together = max(1.0, 2.0 * errors.correlation / usual_s)
     found = []
     for k in range(len(log.week)):
         v_n, V = log.v_n_mps[k], log.velocity_covariance_n_m2ps2[k]
         known = errors.velocities and bool(np.isfinite(v_n).all())
+        stated = GnssFix(
+            log.time(k),
+            log.r_e_m[k],
+            log.covariance_n_m2[k],
+            v_n if known else None,
+            V if known else None,
+        )
         found.append(
-            GnssFix(
-                log.time(k),
-                log.r_e_m[k],
-                (log.covariance_n_m2[k] + errors.position**2 * np.eye(3)) * together,
-                v_n if known else None,
-                V + errors.velocity**2 * np.eye(3) if known else None,
+            with_lasting_errors(
+                stated, errors.position, errors.velocity, errors.correlation, usual_s
             )
         )
     return tuple(found)

@@ -28,6 +28,7 @@ from deepgnss.ins import (
     fix_of,
     process_noise,
 )
+from deepgnss.ins.fixes import with_lasting_errors
 from deepgnss.ins.increments import SAME_INSTANT_S, between
 from deepgnss.ins.integration import Coupling, InsEvent, Instant
 from deepgnss.ins.updates import Innovation
@@ -118,20 +119,11 @@ class Navigation:
         return states
 
     def _weighed(self, fix: GnssFix) -> GnssFix:
-        """A fix with errors that last: so many of them count as one.
-
-        A mean over T of errors σ that last for τ keeps the variance σ²·2τ/T; white ones at a
-        distance Δt would leave R·Δt/T, hence R = σ²·2τ/Δt.
-        """
+        """A fix of the receiver's own: errors that last, and a velocity only where it has one."""
         passed_s = fix.time.since(self._fixes[-1].time) if self._fixes else _LASTING_S
-        together = max(1.0, 2.0 * _LASTING_S / max(passed_s, 1e-3))
-        known = fix.v_n_mps is not None and bool(np.isfinite(fix.v_n_mps).all())
-        return replace(
-            fix,
-            covariance_n_m2=(fix.covariance_n_m2 + _LASTING_M**2 * np.eye(3)) * together,
-            v_n_mps=fix.v_n_mps if known else None,
-            velocity_covariance_n_m2ps2=fix.velocity_covariance_n_m2ps2 if known else None,
-        )
+        if fix.v_n_mps is not None and not np.isfinite(fix.v_n_mps).all():
+            fix = replace(fix, v_n_mps=None, velocity_covariance_n_m2ps2=None)
+        return with_lasting_errors(fix, _LASTING_M, 0.0, _LASTING_S, max(passed_s, 1e-3))
 
     def _go_on(self, coupling: Coupling, time_s: float, gnss: GnssFix | None) -> None:
         epoch_s = self._inputs.settings.epoch_s

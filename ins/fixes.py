@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from deepgnss.core.frames import C_ne, geodetic
 from deepgnss.core.records import FloatArray, NavSolution
@@ -18,6 +20,27 @@ class GnssFix:
     covariance_n_m2: FloatArray  # (3, 3)
     v_n_mps: FloatArray | None = None  # (3,)
     velocity_covariance_n_m2ps2: FloatArray | None = None  # (3, 3)
+
+
+def with_lasting_errors(
+    fix: GnssFix, position_m: float, velocity_mps: float, lasting_s: float, apart_s: float
+) -> GnssFix:
+    """A fix with errors its σ leaves out, those of position lasting for a while.
+
+    Errors that last for τ leave a mean over T the variance σ²·2τ/T; white ones at a distance Δt
+    would leave R·Δt/T. So many of them count as one with R = σ²·2τ/Δt.
+
+    Parameters: 1σ per axis on top of the fix's own; τ; Δt to the next fix.
+    """
+    together = max(1.0, 2.0 * lasting_s / apart_s)
+    velocity = fix.velocity_covariance_n_m2ps2
+    return replace(
+        fix,
+        covariance_n_m2=(fix.covariance_n_m2 + position_m**2 * np.eye(3)) * together,
+        velocity_covariance_n_m2ps2=(
+            None if velocity is None else velocity + velocity_mps**2 * np.eye(3)
+        ),
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,11 @@ from typing import Final
 
 import numpy as np
 
-from deepgnss.core.constants import SECONDS_PER_WEEK
+from deepgnss.core.constants import SECONDS_PER_WEEK, STANDARD_GRAVITY_MPS2
 from deepgnss.core.records import FloatArray, ImuBlock
 from deepgnss.core.time import GpsTime, leap_seconds_at
 
-_G: Final = 9.80665
+_G: Final = STANDARD_GRAVITY_MPS2
 _GRAVITY_WITHIN: Final = 0.12  # of g: bias, scale, and a drive that is not straight and level
 _FACTOR_WITHIN: Final = 0.2
 _TOO_FAST_RADPS: Final = 10.0  # a car's body at its liveliest turns with 1 to 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
 from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -11,7 +10,7 @@ from deepgnss.core.records import Oscillator
 from deepgnss.io.config.axes import Axes
 from deepgnss.io.config.imu_grade import NamedImuGrade
 from deepgnss.io.config.quantity import ExistingFile, Quantity, Section, Switch, misfit
-from deepgnss.io.config.text import parse_value
+from deepgnss.io.config.shipped import by_name, shipped_names
 
 NovatelModel = Literal[
     "FSAS", "STIM300", "HG1700-AG11", "HG1700-AG17", "HG1700-AG58", "HG1700-AG62", "HG1900",
@@ -153,17 +152,11 @@ class OscillatorConfig(Section):
 
 def oscillator_names() -> list[str]:
     """Names of the oscillators that ship with the package."""
-    folder = files("deepgnss.configs") / "oscillators"
-    return sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+    return shipped_names("oscillators")
 
 
 def _oscillator_of_name(value: object) -> object:
-    if not isinstance(value, str):
-        return value
-    if value not in oscillator_names():
-        raise misfit(f"expected one of {', '.join(oscillator_names())}, or h-parameters")
-    text = (files("deepgnss.configs") / "oscillators" / f"{value}.yaml").read_text("utf-8")
-    return {"name": value} | dict(parse_value(text, f"{value}.yaml"))
+    return by_name("oscillators", value, "h-parameters")
 
 
 NamedOscillator = Annotated[

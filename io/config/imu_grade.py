@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from importlib.resources import files
 from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator
 
 from deepgnss.core.errors import ConfigError
 from deepgnss.core.records import ImuGrade
-from deepgnss.io.config.quantity import Quantity, Section, misfit
-from deepgnss.io.config.text import parse_value
+from deepgnss.io.config.quantity import Quantity, Section
+from deepgnss.io.config.shipped import by_name, shipped_names
 
 _DEG: Final = math.pi / 180.0
 _DEG_PER_HOUR: Final = _DEG / 3600.0
@@ -96,17 +95,11 @@ class ImuGradeConfig(Section):
 
 def imu_grade_names() -> list[str]:
     """Names of the inertial units that ship with the package."""
-    folder = files("deepgnss.configs") / "imu"
-    return sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+    return shipped_names("imu")
 
 
 def _grade_of_name(value: object) -> object:
-    if not isinstance(value, str):
-        return value
-    if value not in imu_grade_names():
-        raise misfit(f"expected one of {', '.join(imu_grade_names())}, or its values")
-    text = (files("deepgnss.configs") / "imu" / f"{value}.yaml").read_text("utf-8")
-    return {"name": value} | dict(parse_value(text, f"{value}.yaml"))
+    return by_name("imu", value, "its values")
 
 
 NamedImuGrade = Annotated[

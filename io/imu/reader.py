@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from deepgnss.core.constants import SECONDS_PER_WEEK
+from deepgnss.core.constants import SECONDS_PER_WEEK, STANDARD_GRAVITY_MPS2
 from deepgnss.core.errors import ConfigError, InputFileError
 from deepgnss.core.records import FloatArray, ImuBlock
 from deepgnss.core.time import GpsTime
@@ -23,7 +23,6 @@ from deepgnss.io.imu.tables import read_hdf5
 from deepgnss.io.imu.tag import TagLine, fit_tags
 from deepgnss.io.imu.text import read_csv, read_kfgins
 
-STANDARD_GRAVITY_MPS2: Final = 9.80665
 _GYRO_UNITS: Final = {"rad": 1.0, "rad/s": 1.0, "deg": math.pi / 180, "deg/s": math.pi / 180}
 _ACCEL_UNITS: Final = {"m/s": 1.0, "m/s^2": 1.0, "g": STANDARD_GRAVITY_MPS2}
 _HALF_WEEK_S: Final = SECONDS_PER_WEEK / 2.0
