@@ -11,6 +11,7 @@ not enter the orbit.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,8 @@ from deepgnss.receiver.weights import (
 
 __all__ = ["ErrorModel", "PvtParameters", "dilutions", "inverse", "solve", "unsolved"]
 
+NOBODY_REFUSED: Mapping[str, str] = MappingProxyType({})
+
 _MAX_ITERATIONS = 20
 _CONVERGED_M = 1.0  # the step after this one would be its square over the range: 1e-7 m
 _ATMOSPHERE_STEP_M = 10.0  # its delays change by 3 mm at zenith over this height
@@ -51,7 +54,7 @@ class _Measured(NamedTuple):
     """Observations that have an ephemeris, as columns."""
 
     satellites: tuple[str, ...]
-    usable: NDArray[np.bool_]  # False: unhealthy
+    usable: NDArray[np.bool_]  # False: unhealthy, or refused by somebody else
     ephemerides: tuple[Ephemeris, ...]
     states: orbits.SatelliteStates
     ranges_m: FloatArray  # pseudorange with the satellite clock taken off
@@ -88,6 +91,7 @@ def solve(
     nav: NavData,
     parameters: PvtParameters,
     previous: NavSolution | None = None,
+    refused: Mapping[str, str] = NOBODY_REFUSED,
 ) -> NavSolution:
     """Position, velocity and clock from the observations of one epoch.
 
@@ -95,11 +99,12 @@ def solve(
     ----------
     epoch: one observation per satellite; `transmit` is the satellite clock's reading.
     previous: a solution to start from; without one the iteration starts at the geocentre.
+    refused: satellites that somebody else found wrong, and why: they stay out.
 
     Returns a solution with `valid` False and a reason where there is none. `rejected` also names
     satellites of the position whose Doppler was left out of the velocity ("Doppler: …").
     """
-    measured, rejected = _measure(epoch, nav)
+    measured, rejected = _measure(epoch, nav, refused)
     start_e_m = previous.r_e_m if previous is not None and previous.valid else np.zeros(3)
     active = measured.usable.copy()
     screened = not parameters.raim
@@ -143,7 +148,9 @@ def solve(
     return _solution(epoch, parameters, measured, fix, rejected)
 
 
-def _measure(epoch: Epoch, nav: NavData) -> tuple[_Measured, dict[str, str]]:
+def _measure(
+    epoch: Epoch, nav: NavData, refused: Mapping[str, str] = NOBODY_REFUSED
+) -> tuple[_Measured, dict[str, str]]:
     """Observations with their satellites' states, and why others were left out."""
     rejected: dict[str, str] = {}
     chosen: list[tuple[Observation, Ephemeris]] = []
@@ -158,6 +165,8 @@ def _measure(epoch: Epoch, nav: NavData) -> tuple[_Measured, dict[str, str]]:
             chosen.append((observation, ephemeris))
             if ephemeris.health != 0:
                 rejected[satellite] = "unhealthy"
+            elif satellite in refused:
+                rejected[satellite] = refused[satellite]
     observations = tuple(observation for observation, _ in chosen)
     ephemerides = tuple(ephemeris for _, ephemeris in chosen)
     readings_s = np.array([o.transmit.since(epoch.time) for o in observations])
@@ -166,7 +175,7 @@ def _measure(epoch: Epoch, nav: NavData) -> tuple[_Measured, dict[str, str]]:
     states = orbits.transmitted_states(ephemerides, epoch.time, readings_s) if chosen else _NOBODY
     measured = _Measured(
         satellites=tuple(o.satellite for o in observations),
-        usable=np.array([e.health == 0 for e in ephemerides], dtype=bool),
+        usable=np.array([o.satellite not in rejected for o in observations], dtype=bool),
         ephemerides=ephemerides,
         states=states,
         ranges_m=np.array([o.pseudorange_m for o in observations])
@@ -274,9 +283,7 @@ def _below_mask(
 def _tally(rejected: Mapping[str, str]) -> str:
     """How many satellites were left out for which kind of reason."""
     kinds = [
-        next(
-            (kind for kind in ("elevation", "residual", "range") if reason.startswith(kind)), reason
-        )
+        next((kind for kind in _KINDS if reason.startswith(kind)), reason)
         for reason in rejected.values()
     ]
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))

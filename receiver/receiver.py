@@ -6,7 +6,7 @@ knows after a step it uses in the next; nothing looks ahead of the epoch's sampl
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -67,6 +67,10 @@ class Knowledge:
     clock: ReceiverClock | None = None
     position_e_m: FloatArray | None = None
     symbols: Mapping[str, KnownSymbols] = field(default_factory=dict)
+
+
+Screen = Callable[[Epoch], Mapping[str, str]]
+"""Satellites of a tag whose range must leave the position, and why."""
 
 
 class Fix(NamedTuple):
@@ -154,18 +158,20 @@ class Receiver:
         end: int,
         aiding: Mapping[str, AidingSource] | None = None,
         place: tuple[FloatArray, FloatArray] | None = None,
+        screen: Screen | None = None,
     ) -> StepResult:
         """Run through samples [first, end) of the first stream; the feeds stand at `first`.
 
         feeds: running sums by signal name. aiding: by satellite, in samples of its own stream.
         place: position and velocity (ECEF) by somebody who knows better than the last solution.
+        screen: asked at every tag before its position.
         """
         self._events = []
         self._last_place = place or self._last_place
         self._search(feeds, first, end)
         self._track(feeds, end, aiding or {})
         subframes = self._read_messages()
-        fixes = self._observe(first, end)
+        fixes = self._observe(first, end, screen)
         reports = tuple(report for bank in self.banks for report in bank.reports(self.accounts))
         for report in reports:
             self.accounts.tracked(report)
@@ -361,11 +367,11 @@ class Receiver:
 
     # --- observables and position --------------------------------------------------------------
 
-    def _observe(self, first: int, end: int) -> tuple[Fix, ...]:
+    def _observe(self, first: int, end: int, screen: Screen | None) -> tuple[Fix, ...]:
         """Observations and solutions of the tags in (first, end]."""
         fixes: list[Fix] = []
         for tag_ns in self._tags(first, end):
-            fix = self._fix(tag_ns)
+            fix = self._fix(tag_ns, screen)
             if fix is not None:
                 fixes.append(fix)
         return tuple(fixes)
@@ -394,12 +400,13 @@ class Receiver:
             if first <= self.clock.instant(tag).sample < end and (last is None or tag > last)
         )
 
-    def _fix(self, tag_ns: int) -> Fix | None:
+    def _fix(self, tag_ns: int, screen: Screen | None) -> Fix | None:
         output = tag_ns % self.settings.output_ns == 0 and self._steered
         epoch = self._epoch(tag_ns, output)
         if not epoch.observations:
             return None
-        solution = pvt.solve(epoch, self.nav, self.settings.pvt, self.solution)
+        refused = screen(epoch) if screen is not None else pvt.NOBODY_REFUSED
+        solution = pvt.solve(epoch, self.nav, self.settings.pvt, self.solution, refused)
         if solution.valid and self.clock is not None:
             first = not self._steered
             self.clock = self.clock.steered(

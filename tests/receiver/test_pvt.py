@@ -241,6 +241,18 @@ def test_unhealthy_and_unknown_satellites_are_named() -> None:
     assert np.abs(got.r_e_m - HERE_E_M).max() < 1e-3
 
 
+def test_refused_satellites_stay_out_and_show_by_how_much_they_are_wrong() -> None:
+    """The reason given stands, and so do the residuals they would have had."""
+    wrong = pvt.solve(EPOCH, NAV, OPEN).used[:2]
+    epoch = changed(changed(EPOCH, wrong[0], pseudorange_m=12.0), wrong[1], pseudorange_m=-9.0)
+    got = pvt.solve(epoch, NAV, replace(OPEN, raim=False), refused=dict.fromkeys(wrong, "outlier"))
+    assert {name: got.rejected[name] for name in wrong} == dict.fromkeys(wrong, "outlier")
+    assert not set(got.used) & set(wrong)
+    assert np.abs(got.r_e_m - HERE_E_M).max() < 1e-3
+    assert got.residuals_m[wrong[0]] == pytest.approx(12.0, abs=1e-3)
+    assert got.residuals_m[wrong[1]] == pytest.approx(-9.0, abs=1e-3)
+
+
 def test_low_satellites_are_named_with_their_elevation() -> None:
     got = pvt.solve(EPOCH, NAV, replace(OPEN, elevation_mask_rad=np.radians(30.0)))
     low = {

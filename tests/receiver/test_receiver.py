@@ -10,7 +10,7 @@ import pytest
 from simulated_sky import CARRIER_HZ, STEADY_DBHZ, shared_sky, start_channel
 
 from deepgnss.core.constants import SECONDS_PER_WEEK
-from deepgnss.core.records import NavData
+from deepgnss.core.records import Epoch, NavData
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import lnav
 from deepgnss.receiver.acquisition import AcquisitionSettings
@@ -65,6 +65,30 @@ def test_with_time_place_and_orbits_the_first_epoch_knows_all() -> None:
         assert sent_s + command.code_chips / 1.023e6 == pytest.approx(truth.sent_s[0], abs=3e-7)
         assert channel.edge is not None
         assert (channel.anchor + channel.edge) % 20 == 0
+
+
+def test_a_screened_range_leaves_the_position_and_stays_observed() -> None:
+    """The screen is asked once a tag, before its position; its reason stands in the solution."""
+    sky = shared_sky()
+    place_e_m = sky.scenario.vehicle.point(np.zeros(1)).r_m[0]
+    knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m)
+    receiver, feed, asked = _receiver(knowledge), {"GPS_L1CA": _feed()}, []
+
+    def screen(epoch: Epoch) -> dict[str, str]:
+        asked.append(epoch.time)
+        return {epoch.observations[0].satellite: "range 12.0 m off"}
+
+    fixes = [
+        fix
+        for k in range(12)
+        for fix in receiver.step(feed, k * 260_000, (k + 1) * 260_000, screen=screen).fixes
+    ]
+    assert [fix.epoch.time for fix in fixes] == asked
+    assert any(fix.solution.valid for fix in fixes)
+    for fix in fixes:
+        satellite = fix.epoch.observations[0].satellite
+        assert fix.solution.rejected[satellite] == "range 12.0 m off"
+        assert satellite not in fix.solution.used
 
 
 @pytest.mark.parametrize("cn0_dbhz", STEADY_DBHZ[:6])
