@@ -169,5 +169,9 @@ def _alignment(scenario: Scenario) -> dict[str, Any]:
 
 
 def odometer_settings() -> dict[str, Any]:
-    """Section `odometer` of the configuration; its scale error is for the filter to find."""
-    return {"file": ODOMETER_FILE}
+    """Sections `odometer` and `ins` of the configuration.
+
+    A vehicle on a road rolls where the IMU is; the odometer's scale error is for the filter to
+    find.
+    """
+    return {"odometer": {"file": ODOMETER_FILE}, "ins": {"vehicle": {"axle": [0.0, 0.0, 0.0]}}}

@@ -45,8 +45,8 @@ def config_of(simulation: Simulation) -> dict[str, Any]:
     }
     if config.imu is not None:
         settings["imu"] = imu_settings(simulation)
-    if config.odometer is not None:
-        settings["odometer"] = odometer_settings()
+    if config.odometer is not None and scenario.vehicle.road is not None:
+        settings |= odometer_settings()
     settings["truth"] = {"file": "truth.csv", "format": "csv"}
     if config.oscillator is not None:
         settings["oscillator"] = config.oscillator.model_dump(by_alias=True)

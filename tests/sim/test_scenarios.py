@@ -12,9 +12,10 @@ from click.testing import CliRunner
 
 from deepgnss.cli.main import cli
 from deepgnss.core.errors import ConfigError, OutputError
-from deepgnss.io.config import load_config, resolved_yaml
+from deepgnss.io.config import load_config, notes, resolved_yaml
 from deepgnss.io.metadata import open_recording
 from deepgnss.sim.output import write_simulation
+from deepgnss.sim.output.settings import config_of
 from deepgnss.sim.schema import build, load_scenario, ready_scenarios
 
 REDUCED_HZ = 2.6e6
@@ -42,6 +43,20 @@ def test_ready_scenarios_make_what_their_config_describes(name: str, tmp_path: P
         assert len(opened.streams) == len(simulation.scenario.streams)
         for stream in opened.streams:
             assert stream.sample_count == pytest.approx(0.2 * stream.sample_rate_hz, abs=8)
+
+
+def test_wheels_are_used_on_a_road_and_only_there(tmp_path: Path) -> None:
+    """The unit rides on the axle that rolls; a swing is no road, its wheel speed stays a file."""
+    written = write_simulation(
+        build(load_scenario("urban_short", reduced("urban_short", 0.2))), tmp_path
+    )
+    config = load_config(written.config)
+    assert config.odometer is not None
+    assert config.ins.vehicle is not None
+    assert config.ins.vehicle.axle == (0.0, 0.0, 0.0)
+    assert not [line for line in notes(config) if line.startswith("odometer")]
+    swing = load_scenario("acceleration_100g", ["odometer={rate: 10}", "seconds=0.2"])
+    assert not {"odometer", "ins"} & config_of(build(swing)).keys()
 
 
 def test_ready_scenarios_are_listed_with_what_they_are_for() -> None:
