@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
 
 import pandas as pd
 
+from deepgnss.deep.coupled import CoupledNavigation, couple
 from deepgnss.deep.engine import Engine, workers
 from deepgnss.deep.outputs import FILES, Outputs
-from deepgnss.deep.setup import plan_run
+from deepgnss.deep.setup import RunPlan, plan_run
 from deepgnss.evaluate.observables import range_errors
 from deepgnss.evaluate.observations import read_observations, read_ranges
-from deepgnss.io.config import load_config
+from deepgnss.io.config import Config, load_config
 from deepgnss.io.folder import prepare_folder
 from deepgnss.io.metadata import open_recording
+from deepgnss.receiver.clock import ReceiverClock
 from deepgnss.sim.output import Written, write_simulation
+from deepgnss.sim.output.inertial import write_imu
 from deepgnss.sim.scenario import Scenario
-from deepgnss.sim.schema import PUBLISHED, build, load_scenario
+from deepgnss.sim.schema import PUBLISHED, Simulation, build, load_scenario
+from deepgnss.sim.schema.inertial import ImuLogConfig
 
 _ASSISTED: Final = ("start=causal", "output.nmea=false", "output.report=false")
 
@@ -29,9 +34,14 @@ _ASSISTED: Final = ("start=causal", "output.nmea=false", "output.report=false")
 class Recording(NamedTuple):
     """A simulated recording in its folder."""
 
-    scenario: Scenario
+    simulation: Simulation
     written: Written
     place: tuple[float, float, float]  # deg, deg, m
+
+    @property
+    def scenario(self) -> Scenario:
+        """What was simulated."""
+        return self.simulation.scenario
 
     @property
     def folder(self) -> Path:
@@ -50,14 +60,34 @@ def recorded(scenario: str, seed: int, *settings: str) -> Iterator[Recording]:
     place = (config.place.latitude, config.place.longitude, config.place.height)
     with TemporaryDirectory(prefix="deepgnss-") as folder:
         written = write_simulation(simulation, Path(folder), os.cpu_count() or 1)
-        yield Recording(simulation.scenario, written, place)
+        yield Recording(simulation, written, place)
+
+
+def with_unit(recording: Recording, grade: str) -> tuple[str, ...]:
+    """Settings of a run aided by an inertial unit of another grade: its log is written for them.
+
+    The same draws stand behind every grade, each in proportion to its σ; the samples do not
+    depend on the unit.
+    """
+    simulation = recording.simulation
+    unit = simulation.config.imu
+    if unit is None:
+        raise ValueError(f"{simulation.scenario.name}: no inertial unit to be of grade {grade}")
+    other = ImuLogConfig.model_validate({**unit.model_dump(by_alias=True), "grade": grade})
+    config = simulation.config.model_copy(update={"imu": other})
+    folder = recording.folder / grade
+    folder.mkdir(exist_ok=True)
+    ((log, _), *_) = write_imu(folder, replace(simulation, config=config))
+    return f"imu.file={log}", f"imu.grade={grade}"
 
 
 def observed(recording: Recording, *settings: str) -> pd.DataFrame:
     """Errors (`range_errors`) of the RINEX observations that the receiver makes of a recording.
 
-    It starts once, with the NAV file and the rough place; phases count once their half cycle is
-    known. settings: KEY=VALUE of the run.
+    It starts once, with the NAV file and the rough place, aided where the recording has an
+    inertial log (deep=false: all the same not); phases count once their half cycle is known.
+
+    Parameters: settings: KEY=VALUE of the run.
     """
     out = recording.folder / "out"
     given = (f"nav={recording.folder / 'nav.rnx'}", f"position={list(recording.place)}")
@@ -70,10 +100,10 @@ def observed(recording: Recording, *settings: str) -> pd.DataFrame:
         plan = plan_run(config, opened.streams, description.start)
         prepare_folder(out, FILES)
         with workers(plan.threads) as executor:
-            engine = Engine(plan, opened, plan.knowledge, executor)
+            engine = Engine(plan, opened, plan.knowledge, executor, couple=_couple(config, plan))
             with Outputs(config, plan, plan.knowledge) as outputs:
                 for result in engine.steps():
-                    outputs.write(result)
+                    outputs.write(result, engine.navigated)
                 accounts = engine.receiver.accounts
                 outputs.finish(engine.receiver.nav, accounts.outcomes, {})
     (rinex,) = out.glob("*O.rnx")
@@ -81,6 +111,12 @@ def observed(recording: Recording, *settings: str) -> pd.DataFrame:
     whole = observations["carrier_cycles"].where(~observations["half_cycle"])
     ranges = read_ranges(recording.folder / "ranges.csv")
     return range_errors(observations.assign(carrier_cycles=whole), ranges)
+
+
+def _couple(config: Config, plan: RunPlan) -> Callable[[ReceiverClock], CoupledNavigation] | None:
+    if config.imu is None or not config.deep.enabled:
+        return None
+    return lambda clock: couple(config, plan, clock)
 
 
 def since(errors: pd.DataFrame, seconds: float) -> pd.DataFrame:
