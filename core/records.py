@@ -208,6 +208,7 @@ class Observation:
     half_cycle: bool  # RINEX LLI bit 1: polarity unknown, phase may be off by half a cycle
     carrier_valid: bool  # False: no phase is written
     transmit: GpsTime  # satellite clock reading when the signal left
+    arc: int = 0  # stretch of phase without a possible slip; never the same again for a signal
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,6 +52,13 @@ class News(NamedTuple):
     items: tuple[messages.News, ...]
 
 
+class Tagged(NamedTuple):
+    """Observations of a tag: of signals received, and of those in open loop."""
+
+    received: list[Observation]
+    coasting: list[Observation]
+
+
 class Bank:
     """Channels of one signal on one stream."""
 
@@ -75,6 +82,7 @@ class Bank:
         self._sent: dict[int, Sent] = {}
         self._memory: dict[int, PhaseMemory] = {}
         self._hatch: dict[int, HatchState] = {}
+        self._slips: dict[int, int] = {}  # of satellites that were tracked before
         self._searcher = Searcher(signal, acquisition, searching, sample_rate_hz)
 
     def tracked(self) -> list[Channel]:
@@ -135,6 +143,7 @@ class Bank:
             sample=first,
             code_chips=seen.code_chips,
             doppler_hz=seen.doppler_hz,
+            slips=self._slips.get(seen.prn, 0),
         )
         channel.known = self._known.get(channel.satellite)
         self.channels[seen.prn] = channel
@@ -168,7 +177,7 @@ class Bank:
         """Take lost channels out and return them."""
         gone = [channel for channel in self.tracked() if channel.mode is Mode.LOST]
         for prn in [prn for prn, channel in self.channels.items() if channel.mode is Mode.LOST]:
-            del self.channels[prn]
+            self._slips[prn] = self.channels.pop(prn).slips + 1
             self.heads.pop(prn, None)
             self._memory.pop(prn, None)
             self._hatch.pop(prn, None)
@@ -241,11 +250,11 @@ class Bank:
 
     def observe(
         self, clock: ReceiverClock, tag_ns: int, time: GpsTime, *, output: bool, smoothing: bool
-    ) -> list[Observation]:
+    ) -> Tagged:
         """Observations at a tag; slips are counted from the last one put out."""
         clock = clock.at_rate(self.rate_hz)
         instant = clock.instant(tag_ns)
-        observations = []
+        tagged = Tagged([], [])
         for prn, channel in sorted(self.channels.items()):
             if channel.mode is Mode.LOST:  # dropped since it ran
                 continue
@@ -253,15 +262,19 @@ class Bank:
             seen = observe(channel, clock, tag_ns, instant, memory)
             if seen is None:
                 continue
+            told = output and not seen.coasting
             self._memory[prn] = (
-                seen.memory if output else memory._replace(ambiguity=seen.memory.ambiguity)
+                seen.memory if told else memory._replace(ambiguity=seen.memory.ambiguity)
             )
             observation = seen.observation
+            if seen.coasting:
+                tagged.coasting.append(observation)
+                continue
             if smoothing:
                 state = self._hatch.get(prn, HatchState())
                 self._hatch[prn], observation = smooth(state, observation, time, channel.slips)
-            observations.append(observation)
-        return observations
+            tagged.received.append(observation)
+        return tagged
 
     # --- accounts ------------------------------------------------------------------------------
 

@@ -50,6 +50,7 @@ from deepgnss.receiver.modes import (
     TRANSITIONS,
     AidingRate,
     AidingSource,
+    Coast,
     Mode,
     TrackingSettings,
     lowest_frequency_lock_dbhz,
@@ -101,12 +102,13 @@ class Interval(NamedTuple):
     periods: int  # code periods since the channel started
     code_valid: bool
     phase_valid: bool
-    slips: int  # possible cycle slips so far
+    slips: int  # possible cycle slips so far, of the satellite: the number of the arc
     phase_since: int  # sample of phase lock
     cn0_dbhz: float
     half_cycle: float | None  # 0 or ½ cycle once the polarity is known
     correction: Correction = NO_CORRECTION  # what the interval's correlations said of it …
     middle_s: float = 0.0  # … at its middle, s after the command
+    coasting: bool = False  # in open loop, by aiding
 
 
 class Channel:
@@ -123,10 +125,12 @@ class Channel:
         code_chips: float,
         doppler_hz: float,
         correlator: Correlator = correlate,
+        slips: int = 0,
     ) -> None:
         """Start at an integer sample with the code phase there (chips) and a Doppler.
 
         correlator: what correlates with samples; a model may stand in for it.
+        slips: of the satellite in channels before.
         """
         self.signal = signal
         self.satellite = signal.satellite(prn)
@@ -140,7 +144,7 @@ class Channel:
         self.edge: int | None = None  # period of a symbol edge, modulo the symbol's length
         self.half_cycle: float | None = None  # 0 or ½ cycle once the polarity is known
         self.known: KnownSymbols | None = None  # symbols that need not be guessed
-        self.slips = 0
+        self.slips = slips
         self.locks = NO_LOCK
         self._correlator = correlator
         self._runs = code_runs(signal.id.name, prn)
@@ -719,6 +723,69 @@ class Channel:
             for i in self.history
         ]
 
+    # --- told from outside -----------------------------------------------------------------------
+
+    @property
+    def coasting(self) -> bool:
+        """Whether the generators run on by aiding alone."""
+        return self.mode is Mode.HOLD and self._aiding != NO_AIDING
+
+    def coast(self, move: Coast) -> None:
+        """Put right a phase carried on in open loop, and the code with it."""
+        if not self.coasting:
+            return  # the signal is back: the loop sees for itself
+        self._move(-move.cycles, code=True, since=self._since)
+
+    def mend(self, cycles: float | None, reason: str, *, told: bool) -> None:
+        """A slip found from outside: `cycles` (RINEX) are missing, None: nobody knows how many.
+
+        told: phases that miss them have been put out.
+        """
+        if cycles is not None:
+            if round(2.0 * cycles) != 2.0 * cycles:
+                raise ValueError(f"{self.satellite}: a slip of {cycles} cycles is no half number")
+            self._move(-cycles, code=False)
+            self._note("slip repaired", f"{cycles:+.1f} cycles: {reason}")
+        else:
+            self._note("cycle slip", reason)
+        if cycles is None or told:
+            before, self.slips = self.slips, self.slips + 1
+            self.half_cycle = self.half_cycle if cycles is not None else None
+            self.history = [
+                i._replace(slips=self.slips, half_cycle=self.half_cycle) if i.slips == before else i
+                for i in self.history
+            ]
+        if cycles is None or cycles % 1.0:  # the symbols before it may be of the other sign
+            self._restart_symbols()
+
+    def _move(self, cycles: float, *, code: bool, since: int | None = None) -> None:
+        """Turn the carrier generator (+Doppler), also where it is not yet observed."""
+        chips = cycles / self.signal.carrier_to_code if code else 0.0
+
+        def moved(command: NcoCommand) -> NcoCommand:
+            return command._replace(
+                carrier_cycles=command.carrier_cycles + cycles,
+                code_chips=command.code_chips + chips,
+            )
+
+        self._carrier = self._carrier._replace(phase=self._carrier.phase + cycles)
+        self.command = moved(self.command)
+        self._taken[: self._filled] *= np.exp(-2j * np.pi * math.fmod(cycles, 1.0))
+        self.history = [
+            i
+            if since is not None and i.command.sample < since
+            else i._replace(command=moved(i.command))
+            for i in self.history
+        ]
+
+    def _restart_symbols(self) -> None:
+        """Begin a new stretch of symbols at the next edge."""
+        if self.edge is None:
+            return
+        self.symbols = bytearray()
+        self.symbols_first = self.periods + (self.edge - self.periods) % self.signal.symbol_periods
+        self._symbol_sum, self._symbol_periods = 0j, 0
+
     # --- what others read --------------------------------------------------------------------
 
     def _note(self, what: str, reason: str) -> None:
@@ -735,6 +802,7 @@ class Channel:
             self._phase_since,
             self.cn0_dbhz,
             self.half_cycle,
+            coasting=self.coasting,
         )
 
     def at(self, sample: int) -> Interval:

@@ -80,6 +80,13 @@ class AidingRate(NamedTuple):
     clock_hz: float = 0.0
 
 
+class Coast(NamedTuple):
+    """What somebody outside knows better of a phase carried on in open loop."""
+
+    cycles: float  # to be added to the phase as RINEX has it: it grows with range
+    sigma_cycles: float  # 1σ of the phase then, since the loop was opened
+
+
 NO_AIDING = AidingRate(0.0, 0.0)
 AidingSource = Callable[[int], AidingRate]
 

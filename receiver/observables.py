@@ -28,6 +28,7 @@ class Observed(NamedTuple):
 
     observation: Observation
     memory: PhaseMemory
+    coasting: bool
 
 
 def _at(interval: Interval, instant: SampleInstant, rate_hz: float) -> tuple[NcoState, NcoState]:
@@ -63,10 +64,11 @@ def observe(
 ) -> Observed | None:
     """Observation of a channel at a tag, None while it has no pseudorange.
 
+    In open loop it is what the generators say, and nobody has measured it.
     `memory` is that of the last output; keep the returned one only when this epoch is put out.
     """
     interval = channel.at(instant.sample)
-    if channel.anchor is None or not interval.code_valid:
+    if channel.anchor is None or not (interval.code_valid or interval.coasting):
         return None
     rate_hz = float(clock.sample_rate_hz)
     carrier, code = _at(interval, instant, rate_hz)
@@ -96,6 +98,8 @@ def observe(
             half_cycle=valid and interval.half_cycle is None,
             carrier_valid=valid,
             transmit=from_ns(sent_ns).plus(rest_s),
+            arc=interval.slips,
         ),
         PhaseMemory(ambiguity, interval.slips if valid else memory.slips),
+        interval.coasting,
     )

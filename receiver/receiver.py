@@ -24,6 +24,7 @@ from deepgnss.core.records import (
     FloatArray,
     NavData,
     NavSolution,
+    Observation,
     RunningSums,
 )
 from deepgnss.core.time import GpsTime
@@ -36,7 +37,7 @@ from deepgnss.receiver.clock import NS, ReceiverClock, from_ns
 from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.known_symbols import KnownSymbols
 from deepgnss.receiver.messages import Frame, News, Subframe
-from deepgnss.receiver.modes import AidingSource, Mode, TrackingSettings, unaided
+from deepgnss.receiver.modes import AidingSource, Coast, Mode, TrackingSettings, unaided
 from deepgnss.receiver.search import Place, SearchSettings
 from deepgnss.receiver.signals import Signal
 
@@ -79,6 +80,7 @@ class Fix(NamedTuple):
     epoch: Epoch
     solution: NavSolution
     output: bool  # falls on the output interval
+    coasting: tuple[Observation, ...] = ()  # of channels in open loop, by their generators alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +140,8 @@ class Receiver:
         self._last_tag_ns: int | None = None
         self._last_place: tuple[FloatArray, FloatArray] | None = None
         self._events: list[Event] = []
+        self._late: list[Event] = []  # noted after a step, told by the next
+        self._told = False  # whether the last step's tags were put out
 
     @property
     def steered(self) -> bool:
@@ -166,7 +170,7 @@ class Receiver:
         place: position and velocity (ECEF) by somebody who knows better than the last solution.
         screen: asked at every tag before its position.
         """
-        self._events = []
+        self._events, self._late = self._late, []
         self._last_place = place or self._last_place
         self._search(feeds, first, end)
         self._track(feeds, end, aiding or {})
@@ -184,17 +188,42 @@ class Receiver:
         events = tuple(sorted(self._events, key=lambda event: (event.sample, event.satellite)))
         return StepResult(first, end, fixes, reports, events, subframes, correlations)
 
+    def coast(self, moves: Mapping[str, Coast]) -> None:
+        """Put right phases carried on in open loop, by satellite; to be called after a step.
+
+        A channel whose signal has come back meanwhile is left to its loop.
+        """
+        for channel in self.channels:
+            if channel.satellite in moves:
+                channel.coast(moves[channel.satellite])
+
+    def mend(self, satellite: str, cycles: float | None, reason: str) -> None:
+        """Take a cycle slip into account that was found after a step, in its last tags.
+
+        cycles: missing in the phase as RINEX has it, a multiple of ½; they are put back, and where
+        no phase without them was put out the arc goes on. None: not known, a new arc begins.
+        """
+        for bank in self.banks:
+            for channel in bank.tracked():
+                if channel.satellite == satellite:
+                    before = len(channel.events)
+                    channel.mend(cycles, reason, told=self._told)
+                    self._late.extend(self._counted(channel.events[before:], bank))
+
     def sample_in(self, rate_hz: Fraction | float, sample: int) -> int:
         """A sample of the first stream, counted in a stream of another rate."""
         return round(sample * Fraction(rate_hz) / self._rate)
 
     def _log(self, events: Sequence[Event], bank: Bank) -> None:
         """Keep events, their samples counted in the first stream."""
+        self._events.extend(self._counted(events, bank))
+
+    def _counted(self, events: Sequence[Event], bank: Bank) -> list[Event]:
         scale = self._rate / bank.rate_hz
-        self._events.extend(
+        return [
             event if scale == 1 else replace(event, sample=round(event.sample * scale))
             for event in events
-        )
+        ]
 
     def _track(
         self, feeds: Mapping[str, SumFeed], end: int, aiding: Mapping[str, AidingSource]
@@ -374,6 +403,7 @@ class Receiver:
             fix = self._fix(tag_ns, screen)
             if fix is not None:
                 fixes.append(fix)
+        self._told = any(fix.output for fix in fixes)
         return tuple(fixes)
 
     def _tags(self, first: int, end: int) -> list[int]:
@@ -402,9 +432,9 @@ class Receiver:
 
     def _fix(self, tag_ns: int, screen: Screen | None) -> Fix | None:
         output = tag_ns % self.settings.output_ns == 0 and self._steered
-        epoch = self._epoch(tag_ns, output)
+        epoch, coasting = self._epoch(tag_ns, output)
         if not epoch.observations:
-            return None
+            return self._unseen(tag_ns, epoch, coasting)
         refused = screen(epoch) if screen is not None else pvt.NOBODY_REFUSED
         solution = pvt.solve(epoch, self.nav, self.settings.pvt, self.solution, refused)
         if solution.valid and self.clock is not None:
@@ -415,7 +445,7 @@ class Receiver:
             if first:  # observe again: the tag has moved by up to some ms
                 self._steered = True
                 output = tag_ns % self.settings.output_ns == 0
-                epoch = self._epoch(tag_ns, output)
+                epoch, coasting = self._epoch(tag_ns, output)
                 solution = pvt.solve(epoch, self.nav, self.settings.pvt, solution)
         self._last_tag_ns = tag_ns
         self.solution = solution if solution.valid else self.solution
@@ -424,21 +454,29 @@ class Receiver:
         self.accounts.solved(solution)
         if not self._steered:
             return None  # tags are still some ms off
-        return Fix(epoch, solution, output)
+        return Fix(epoch, solution, output, coasting)
 
-    def _epoch(self, tag_ns: int, output: bool) -> Epoch:
-        """Observations of all banks at a tag."""
+    def _unseen(self, tag_ns: int, epoch: Epoch, coasting: tuple[Observation, ...]) -> Fix | None:
+        """A tag at which every channel is in open loop, for whoever puts them right."""
+        if not coasting or not self._steered:
+            return None
+        self._last_tag_ns = tag_ns
+        return Fix(epoch, pvt.unsolved(epoch.time, "no signal", {}), False, coasting)
+
+    def _epoch(self, tag_ns: int, output: bool) -> tuple[Epoch, tuple[Observation, ...]]:
+        """Observations of all banks at a tag, and those of channels in open loop."""
         if self.clock is None:
             raise ValueError("no receiver time")
         time = from_ns(tag_ns)
-        observations = [
-            observation
-            for bank in self.banks
-            for observation in bank.observe(
+        received: list[Observation] = []
+        coasting: list[Observation] = []
+        for bank in self.banks:
+            tagged = bank.observe(
                 self.clock, tag_ns, time, output=output, smoothing=self.settings.smoothing
             )
-        ]
-        return Epoch(time, self.clock.instant(tag_ns), tuple(observations))
+            received += tagged.received
+            coasting += tagged.coasting
+        return Epoch(time, self.clock.instant(tag_ns), tuple(received)), tuple(coasting)
 
     # --- accounts ------------------------------------------------------------------------------
 

@@ -7,10 +7,18 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from simulated_sky import CARRIER_HZ, STEADY_DBHZ, shared_sky, start_channel
+from simulated_sky import (
+    BLOCKED_1_S,
+    CARRIER_HZ,
+    CHIP_HZ,
+    STEADY_DBHZ,
+    Sky,
+    shared_sky,
+    start_channel,
+)
 
 from deepgnss.core.constants import SECONDS_PER_WEEK
-from deepgnss.core.records import Epoch, NavData
+from deepgnss.core.records import Epoch, NavData, Observation
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import lnav
 from deepgnss.receiver.acquisition import AcquisitionSettings
@@ -18,7 +26,7 @@ from deepgnss.receiver.bank import Head
 from deepgnss.receiver.clock import NS, ReceiverClock, to_ns
 from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.locks import LockState
-from deepgnss.receiver.modes import Mode, TrackingSettings
+from deepgnss.receiver.modes import AidingRate, AidingSource, Coast, Mode, TrackingSettings
 from deepgnss.receiver.receiver import Knowledge, Receiver, ReceiverSettings
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL
 
@@ -243,3 +251,74 @@ def test_a_satellite_s_own_next_set_is_no_copy() -> None:
     assert not receiver._is_copy(
         receiver.banks[0], receiver.banks[0].channels[int(satellite[1:])], orbit
     )
+
+
+# --- open loop -----------------------------------------------------------------------------------
+
+
+def _truly(sky: Sky, satellite: str) -> AidingSource:
+    """Aiding without errors, the receiver's clock in its own place."""
+    clock_hz = -sky.scenario.clock.drift_sps * CARRIER_HZ
+
+    def at(sample: int) -> AidingRate:
+        samples = sample + 0.02 * RATE_HZ * np.arange(3)
+        cycles = sky.truth(satellite, samples).carrier_cycles
+        first, second = np.diff(cycles) / 0.02
+        rate_hzps = (second - first) / 0.02
+        return AidingRate(first - 0.01 * rate_hzps - clock_hz, rate_hzps, clock_hz)
+
+    return at
+
+
+def test_channels_in_open_loop_are_told_apart_and_can_be_put_right() -> None:
+    sky = shared_sky()
+    satellite = next(e.satellite for e in sky.scenario.emitters if e.cn0_dbhz == BLOCKED_1_S)
+    place_e_m = sky.scenario.vehicle.point(np.zeros(1)).r_m[0]
+    knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m)
+    receiver = _receiver(knowledge)
+    feed, aiding = _feed(), {satellite: _truly(sky, satellite)}
+    coasted: list[tuple[float, Observation, bool]] = []
+    received: list[tuple[float, Observation]] = []
+    moved = False
+    for k in range(66):
+        result = receiver.step({"GPS_L1CA": feed}, k * 260_000, (k + 1) * 260_000, aiding)
+        for fix in result.fixes:
+            at = fix.epoch.instant
+            sample = at.sample + at.fraction
+            assert {o.satellite for o in fix.coasting} <= {satellite}
+            coasted += [(sample, o, moved) for o in fix.coasting]
+            here = [o for o in fix.epoch.observations if o.satellite == satellite]
+            received += [(sample, o) for o in here]
+            assert not (here and fix.coasting)
+            assert here or satellite not in fix.solution.used
+        if coasted and coasted[-1][0] > 4.55 * RATE_HZ and not moved:
+            moved = True
+            receiver.coast({satellite: Coast(154.0, 0.1)})
+    samples = np.array([sample for sample, _, _ in coasted])
+    assert 4.0 * RATE_HZ < samples[0] < 4.35 * RATE_HZ
+    assert 4.95 * RATE_HZ < samples[-1] < 5.3 * RATE_HZ
+    assert np.all(np.abs(np.diff(samples) - 0.1 * RATE_HZ) < 1.0)
+    truth = sky.truth(satellite, samples)
+    told_s = np.array([o.transmit.tow_s for _, o, _ in coasted])
+    late_chips = (truth.whole_s + truth.sent_s - told_s) * CHIP_HZ
+    shifted = np.array([moved for _, _, moved in coasted])
+    assert late_chips[shifted] - late_chips[0] == pytest.approx(0.1, abs=0.02)
+    assert late_chips[~shifted] - late_chips[0] == pytest.approx(0.0, abs=0.02)
+    before = [o.arc for sample, o in received if sample < samples[0] and o.carrier_valid]
+    after = [o.arc for sample, o in received if sample > samples[-1] and o.carrier_valid]
+    assert before
+    assert after
+    assert not set(before) & set(after)
+
+
+def test_arcs_of_a_satellite_found_again_are_new_ones() -> None:
+    receiver = _receiver(Knowledge())
+    satellite = shared_sky().scenario.emitters[0].satellite
+    _with_channel(receiver, satellite)
+    bank, prn = receiver.banks[0], int(satellite[1:])
+    channel = bank.channels[prn]
+    channel.slips = 7
+    channel.drop("test")
+    assert bank.retire() == [channel]
+    bank._take(bank._as_seen(channel, prn, 1000), 1000, None, None)
+    assert bank.channels[prn].slips == 8
