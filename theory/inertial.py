@@ -10,39 +10,49 @@ be a random walk there; here it keeps its correlation time.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from deepgnss.core.records import FloatArray, ImuGrade
 
+_AXES_N: Final = np.eye(3)
+
 
 class Term(NamedTuple):
-    """1σ in NED over time from one source of error."""
+    """1σ along m directions (NED unless others were asked for) over time from one source."""
 
     name: str
     white: bool  # driven by noise on the way, not drawn once
-    velocity_mps: FloatArray  # (n, 3)
-    position_m: FloatArray  # (n, 3)
+    velocity_mps: FloatArray  # (n, m)
+    position_m: FloatArray  # (n, m)
 
 
-def error_growth(grade: ImuGrade, f_n_mps2: FloatArray, time_s: FloatArray) -> tuple[Term, ...]:
+def error_growth(
+    grade: ImuGrade,
+    f_n_mps2: FloatArray,
+    time_s: FloatArray,
+    along_n: FloatArray = _AXES_N,
+) -> tuple[Term, ...]:
     """Each source's share of the errors after times (n,) at constant specific force (3,) in NED.
 
     Initial errors are the grade's; the vertical velocity's is that of the horizontal ones; a
     position error at the start is left to the caller. A vehicle at rest has f = (0, 0, −g).
+    along_n: unit vectors (m, 3) along which the errors are told; a tilt moves several axes at
+    once, so that what it does along a line of sight does not follow from NED alone.
     """
     t = np.asarray(time_s, dtype=np.float64)
     f = np.asarray(f_n_mps2, dtype=np.float64)
-    level, turned = np.ones(3), _turned(f)
-    any_axis = turned @ np.ones(3)  # f² of the two axes about which a tilt turns f into this one
+    u = np.asarray(along_n, dtype=np.float64)
+    level, turned = np.sum(u**2, axis=1), np.cross(u, f) ** 2  # u·(f×φ) = φ·(u×f)
+    any_axis = turned @ np.ones(3)  # f² across the direction
     angles = turned @ np.array([grade.tilt_rad, grade.tilt_rad, grade.heading_rad]) ** 2
     gyro_s, accel_s = grade.gyro_drift_time_s, grade.accel_drift_time_s
     return (
         _drawn("initial velocity", grade.velocity_mps**2 * level, 0, t),
         _drawn("initial attitude", angles, 1, t),
         _drawn("accelerometer bias", grade.accel_bias_mps2**2 * level, 1, t),
-        _drawn("accelerometer scale", (grade.accel_scale * f) ** 2, 1, t),
+        _drawn("accelerometer scale", grade.accel_scale**2 * (u**2 @ f**2), 1, t),
         _drawn("gyro bias", grade.gyro_bias_radps**2 * any_axis, 2, t),
         _white(
             "accelerometer noise", grade.accel_noise_mps_rts**2 * level, _power(0), _power(1), t
@@ -66,19 +76,13 @@ def error_growth(grade: ImuGrade, f_n_mps2: FloatArray, time_s: FloatArray) -> t
 
 
 def total(terms: tuple[Term, ...]) -> tuple[FloatArray, FloatArray]:
-    """1σ of velocity and position (n, 3) each from independent terms together."""
+    """1σ of velocity and position (n, m) each from independent terms together."""
     velocity2 = np.sum([term.velocity_mps**2 for term in terms], axis=0)
     position2 = np.sum([term.position_m**2 for term in terms], axis=0)
     return np.sqrt(velocity2), np.sqrt(position2)
 
 
 _Response = Callable[[FloatArray], FloatArray]
-
-
-def _turned(f_n_mps2: FloatArray) -> FloatArray:
-    """Squares (3, 3) of [f×]: what a unit attitude error about each axis does to each velocity."""
-    north2, east2, down2 = f_n_mps2**2
-    return np.array([[0.0, down2, east2], [down2, 0.0, north2], [east2, north2, 0.0]])
 
 
 def _power(order: int) -> _Response:
@@ -101,7 +105,7 @@ def _drift(order: int, time_s: float) -> _Response:
 
 
 def _drawn(name: str, variance: FloatArray, order: int, t: FloatArray) -> Term:
-    """A constant of the given variance (3,) that reaches velocity by t^order/order!."""
+    """A constant of the given variance (m,) that reaches velocity by t^order/order!."""
     sigma = np.sqrt(variance)
     return Term(
         name, False, np.outer(_power(order)(t), sigma), np.outer(_power(order + 1)(t), sigma)
@@ -111,7 +115,7 @@ def _drawn(name: str, variance: FloatArray, order: int, t: FloatArray) -> Term:
 def _white(
     name: str, density2: FloatArray, to_velocity: _Response, to_position: _Response, t: FloatArray
 ) -> Term:
-    """White noise of squared density (3,) through impulse responses."""
+    """White noise of squared density (m,) through impulse responses."""
     points, weights = np.polynomial.legendre.leggauss(12)
     lags = 0.5 * t[:, np.newaxis] * (1.0 + points)
 
