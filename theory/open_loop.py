@@ -146,10 +146,10 @@ class ClockFit(NamedTuple):
 
     def weights(self, ahead_s: float) -> FloatArray:
         """What each phase counts in the fit's phase after a time less that at 0."""
-        powers = np.arange(1, self.order + 1)
+        powers = np.arange(1.0, self.order + 1.0)
         scale_s = self.times_s[0]
         basis = (self.times_s / scale_s)[:, np.newaxis] ** np.arange(self.order + 1)
-        return np.asarray((ahead_s / scale_s) ** powers @ np.linalg.pinv(basis)[1:], np.float64)
+        return np.asarray((ahead_s / scale_s) ** powers @ np.linalg.pinv(basis)[1:])
 
 
 def phase_kernel(oscillator: Oscillator, carrier_hz: float, lag_s: FloatArray) -> FloatArray:
