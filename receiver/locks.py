@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deepgnss.core.jit import kernel
 from deepgnss.core.records import ComplexArray, FloatArray
 from deepgnss.receiver.trackers import Accumulated
 
@@ -45,7 +46,7 @@ def restart_phase(state: LockState) -> LockState:
 
 
 @lru_cache(maxsize=8)
-def _half_shifts(periods: int) -> ComplexArray:
+def half_shifts(periods: int) -> ComplexArray:
     """Replicas (periods, 3) half a turn per symbol below, at and above zero."""
     turns = 0.5 * np.arange(-1, 2) * np.arange(periods)[:, np.newaxis] / periods
     return np.asarray(np.exp(-2j * np.pi * turns))
@@ -57,8 +58,57 @@ def shifted_powers(symbols: ComplexArray) -> FloatArray:
     Costas loops and squares of symbol sums do not notice ½/symbol, 25 Hz (T 5.4.2): a sum keeps
     0.4 of its power there. Shifted to the true frequency it gains the rest.
     """
-    sums = symbols @ _half_shifts(symbols.shape[1])
+    sums = symbols @ half_shifts(symbols.shape[1])
     return np.asarray(sums.real**2 + sums.imag**2)
+
+
+@kernel
+def interval_powers(taps: ComplexArray, size: int) -> tuple[float, float]:
+    """Σ|p|² of prompts (n, taps ≥ 2), and Σ|s|²/size of their sums s over `size` each."""
+    wide = narrow = 0.0
+    for first in range(0, taps.shape[0] - size + 1, size):
+        total = 0.0j
+        for k in range(first, first + size):
+            p = taps[k, 1]
+            wide += p.real * p.real + p.imag * p.imag
+            total += p
+        narrow += total.real * total.real + total.imag * total.imag
+    return wide, narrow / size
+
+
+@kernel
+def neighbour_powers(taps: ComplexArray) -> tuple[float, float, float]:
+    """Σ|p|² of prompts (n, taps ≥ 2), Σ Re z and Σ Re z² of products z of neighbours."""
+    before = taps[0, 1]
+    wide = before.real * before.real + before.imag * before.imag
+    once = twice = 0.0
+    for k in range(1, taps.shape[0]):
+        p = taps[k, 1]
+        z = before.conjugate() * p
+        wide += p.real * p.real + p.imag * p.imag
+        once += z.real
+        twice += z.real * z.real - z.imag * z.imag
+        before = p
+    return wide, once, twice
+
+
+@kernel
+def mean_shifted_powers(taps: ComplexArray, shifts: ComplexArray) -> tuple[float, float, float]:
+    """Means of `shifted_powers` over the symbols of prompts (n, taps ≥ 2); shifts (size, 3)."""
+    size = shifts.shape[0]
+    down = same = up = 0.0
+    for first in range(0, taps.shape[0] - size + 1, size):
+        lower = straight = upper = 0.0j
+        for k in range(size):
+            p = taps[first + k, 1]
+            lower += p * shifts[k, 0]
+            straight += p * shifts[k, 1]
+            upper += p * shifts[k, 2]
+        down += lower.real * lower.real + lower.imag * lower.imag
+        same += straight.real * straight.real + straight.imag * straight.imag
+        up += upper.real * upper.real + upper.imag * upper.imag
+    symbols = taps.shape[0] // size
+    return down / symbols, same / symbols, up / symbols
 
 
 def update_powers(
@@ -72,37 +122,38 @@ def update_powers(
     of the scatter about the mean; the ratio of narrow- to wide-band power, T(5.9–5.15), written
     so that it stays exact at high C/N0. Across symbol edges the products of neighbours serve.
     """
-    prompts = seen.periods[:, 1]
-    count = prompts.size
+    count = seen.periods.shape[0]
     if count < 2:
         return state
-    wide = float(np.vdot(prompts, prompts).real)
     if seen.coherent:
-        size = symbol_periods or count
-        sums = prompts.reshape(-1, size).sum(axis=1) if size < count else np.array([seen.prompt])
-        narrow = float(np.vdot(sums, sums).real) / size
-        noise = (wide - narrow) / (count - sums.size)
-        signal = (narrow / sums.size - noise) / size
+        size = min(symbol_periods or count, count)
+        wide, narrow = interval_powers(seen.periods, size)
+        sums = count // size
+        noise = (wide - narrow) / (count - sums)
+        signal = (narrow / sums - noise) / size
     else:
-        neighbours = prompts[:-1].conj() * prompts[1:]
-        signal = _blind_power(neighbours) if seen.blind else float(neighbours.real.mean())
+        wide, once, twice = neighbour_powers(seen.periods)
+        # Of unknown signs: E z² = A⁴, noise has no mean.
+        signal = math.sqrt(max(twice / (count - 1), 0.0)) if seen.blind else once / (count - 1)
         noise = max(wide / count - max(signal, 0.0), 0.0)
     seconds = state.seconds + seen.seconds
     slow = seen.seconds / min(seconds, slow_s)
     fast = seen.seconds / min(seconds, _FAST_S)
-    return state._replace(
-        seconds=seconds,
-        signal=state.signal + slow * (signal - state.signal),
-        fast_signal=state.fast_signal + fast * (signal - state.fast_signal),
-        recent=(*state.recent, signal)[-_FAINT:],
-        noise=state.noise + slow * (noise - state.noise),
+    return LockState(
+        seconds,
+        state.signal + slow * (signal - state.signal),
+        state.fast_signal + fast * (signal - state.fast_signal),
+        (*state.recent, signal)[-_FAINT:],
+        state.noise + slow * (noise - state.noise),
+        state.phase,
+        state.phase_seconds,
+        state.shifted,
     )
 
 
 def update_locks(state: LockState, seen: Accumulated, symbol_periods: int = 0) -> LockState:
     """Take one interval, of one symbol or of several so long, into all averages."""
-    prompts = seen.periods[:, 1]
-    count = prompts.size
+    count = seen.periods.shape[0]
     if count < 2:
         return state
     state = update_powers(state, seen)
@@ -113,19 +164,18 @@ def update_locks(state: LockState, seen: Accumulated, symbol_periods: int = 0) -
     double = (seen.prompt * seen.prompt).real / abs(seen.prompt) ** 2
     shifted, size = state.shifted, symbol_periods or count
     if count % size == 0:  # before the first edge a part of a symbol
-        powers = shifted_powers(prompts.reshape(-1, size)).mean(axis=0)
-        down, same, up = ((1.0 - gain) * np.array(shifted) + gain * powers).tolist()
-        shifted = (down, same, up)
+        down, same, up = mean_shifted_powers(seen.periods, half_shifts(size))
+        keep = 1.0 - gain
+        shifted = (
+            keep * shifted[0] + gain * down,
+            keep * shifted[1] + gain * same,
+            keep * shifted[2] + gain * up,
+        )
     return state._replace(
         phase=state.phase + gain * (double - state.phase),
         phase_seconds=phase_seconds,
         shifted=shifted,
     )
-
-
-def _blind_power(products: ComplexArray) -> float:
-    """Signal power from products of neighbours of unknown signs: E z² = A⁴, noise has no mean."""
-    return math.sqrt(max(float((products * products).sum().real) / products.size, 0.0))
 
 
 def _cn0_dbhz(signal: float, noise: float, period_s: float) -> float:

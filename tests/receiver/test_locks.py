@@ -12,8 +12,13 @@ from deepgnss.receiver.locks import (
     cn0_dbhz,
     false_lock_side,
     fast_cn0_dbhz,
+    half_shifts,
+    interval_powers,
+    mean_shifted_powers,
+    neighbour_powers,
     recent_cn0_dbhz,
     restart_phase,
+    shifted_powers,
     update_locks,
     update_powers,
 )
@@ -146,3 +151,20 @@ def test_nothing_seen_nothing_said() -> None:
     zeros = update_locks(NO_LOCK, _seen(np.zeros(20, dtype=np.complex128)))
     assert cn0_dbhz(zeros, PERIOD_S) == 0.0
     assert zeros.phase == 0.0
+
+
+@pytest.mark.kernel
+@pytest.mark.parametrize("size", [1, 2, 5, 20])
+def test_kernels_do_what_numpy_does(size: int) -> None:
+    generator = np.random.default_rng(4)
+    taps = generator.standard_normal((20, 3)) + 1j * generator.standard_normal((20, 3)) + 0.5
+    prompts = taps[:, 1]
+    symbols = prompts.reshape(-1, size)
+    wide = np.sum(np.abs(prompts) ** 2)
+    narrow = np.sum(np.abs(symbols.sum(axis=1)) ** 2) / size
+    assert interval_powers(taps, size) == pytest.approx((wide, narrow), rel=1e-12)
+    z = prompts[:-1].conj() * prompts[1:]
+    expected = (wide, z.real.sum(), (z * z).real.sum())
+    assert neighbour_powers(taps) == pytest.approx(expected, rel=1e-12)
+    means = shifted_powers(symbols).mean(axis=0)
+    assert mean_shifted_powers(taps, half_shifts(size)) == pytest.approx(means, rel=1e-12)
