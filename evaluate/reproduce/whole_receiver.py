@@ -81,31 +81,47 @@ def with_unit(recording: Recording, grade: str) -> tuple[str, ...]:
     return f"imu.file={log}", f"imu.grade={grade}"
 
 
-def observed(recording: Recording, *settings: str) -> pd.DataFrame:
-    """Errors (`range_errors`) of the RINEX observations that the receiver makes of a recording.
+class Run(NamedTuple):
+    """A receiver that has been told all it needs and stands before the first sample."""
+
+    config: Config
+    plan: RunPlan
+    engine: Engine
+
+
+@contextmanager
+def started(recording: Recording, *settings: str) -> Iterator[Run]:
+    """A run of the receiver, to be stepped through.
 
     It starts once, with the NAV file and the rough place, aided where the recording has an
-    inertial log (deep=false: all the same not); phases count once their half cycle is known.
+    inertial log (deep=false: all the same not).
 
     Parameters: settings: KEY=VALUE of the run.
     """
-    out = recording.folder / "out"
     given = (f"nav={recording.folder / 'nav.rnx'}", f"position={list(recording.place)}")
-    config = load_config(
-        recording.written.config, (*_ASSISTED, *given, *settings, f"output.directory={out}")
-    )
+    config = load_config(recording.written.config, (*_ASSISTED, *given, *settings))
     formats = tuple(stream.stream_format() for stream in config.recording.streams)
     opened, description = open_recording(recording.written.recording, formats)
     with opened:
         plan = plan_run(config, opened.streams, description.start)
-        prepare_folder(out, FILES)
         with workers(plan.threads) as executor:
             engine = Engine(plan, opened, plan.knowledge, executor, couple=_couple(config, plan))
-            with Outputs(config, plan, plan.knowledge) as outputs:
-                for result in engine.steps():
-                    outputs.write(result, engine.navigated)
-                accounts = engine.receiver.accounts
-                outputs.finish(engine.receiver.nav, accounts.outcomes, {})
+            yield Run(config, plan, engine)
+
+
+def observed(recording: Recording, *settings: str) -> pd.DataFrame:
+    """Errors (`range_errors`) of the RINEX observations of a run (`started`) of the receiver.
+
+    Phases count once their half cycle is known.
+    """
+    out = recording.folder / "out"
+    with started(recording, *settings, f"output.directory={out}") as (config, plan, engine):
+        prepare_folder(out, FILES)
+        with Outputs(config, plan, plan.knowledge) as outputs:
+            for result in engine.steps():
+                outputs.write(result, engine.navigated)
+            accounts = engine.receiver.accounts
+            outputs.finish(engine.receiver.nav, accounts.outcomes, {})
     (rinex,) = out.glob("*O.rnx")
     observations = read_observations(rinex)
     whole = observations["carrier_cycles"].where(~observations["half_cycle"])
