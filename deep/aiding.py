@@ -8,7 +8,7 @@ comes with it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -45,12 +45,17 @@ class Motion(NamedTuple):
     time_s: FloatArray  # (n,) since `origin`, rising evenly
     origin: GpsTime
     r_e_m: FloatArray  # (n, 3)
-    v_e_mps: FloatArray  # (n, 3)
+
+    @property
+    def v_e_mps(self) -> FloatArray:
+        """Mean velocity between the points, (n - 1, 3)."""
+        step_s = (self.time_s[-1] - self.time_s[0]) / (self.time_s.size - 1)
+        return np.asarray(np.diff(self.r_e_m, axis=0) / step_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Predicted carrier of one satellite: Doppler on even points, linear in between and beyond.
+    """Predicted carrier of one satellite: its cycles on even points, linear between and beyond.
 
     first, step: sample of the first point and samples between points, of the signal's stream;
     ahead: points in an update of the loops.
@@ -59,17 +64,23 @@ class Profile:
     first: float
     step: float
     ahead: float
-    doppler_hz: FloatArray
-    clock_hz: float  # what the receiver's clock adds to it
+    cycles: FloatArray  # since the first point
+    clock_hz: float  # what the receiver's clock adds to its Doppler
 
     def __call__(self, sample: int) -> AidingRate:
-        """Doppler at a sample, and its mean slope over the update that begins there."""
-        here = (sample - self.first) / self.step
-        now_hz, then_hz = self._at(here), self._at(here + self.ahead)
-        return AidingRate(now_hz, (then_hz - now_hz) / AHEAD_S, self.clock_hz)
+        """Doppler at a sample and its slope over the update that begins there.
+
+        The two make the cycles of both halves of the update: what shakes an inertial unit would
+        not average out of single values.
+        """
+        begin = (sample - self.first) / self.step
+        start, middle, end = (self._at(begin + share * self.ahead) for share in (0.0, 0.5, 1.0))
+        rate_hzps = 4.0 * (end - 2.0 * middle + start) / AHEAD_S**2
+        mean_hz = (end - start) / AHEAD_S
+        return AidingRate(mean_hz - 0.5 * AHEAD_S * rate_hzps, rate_hzps, self.clock_hz)
 
     def _at(self, place: float) -> float:
-        values, last = self.doppler_hz, self.doppler_hz.size - 1
+        values, last = self.cycles, self.cycles.size - 1
         k = min(max(int(place), 0), last - 1)
         return float(values[k] + (place - k) * (values[k + 1] - values[k]))
 
@@ -82,30 +93,56 @@ def motion_over(
     to_s = min(to_s, float(trajectory.time_s[-1]))
     count = max(2, int((to_s - from_s) / STEP_S) + 1)
     time_s = np.linspace(from_s, to_s, count)
-    antenna = trajectory.antenna(time_s, lever_b_m)
-    return Motion(time_s, trajectory.origin, antenna.r_e_m, antenna.v_e_mps)
+    return Motion(time_s, trajectory.origin, trajectory.antenna(time_s, lever_b_m).r_e_m)
 
 
-def range_rates(ephemerides: Sequence[Ephemeris], motion: Motion) -> FloatArray:
-    """Pseudorange rate without atmosphere and receiver clock, m/s, (satellites, n).
+class Sights(NamedTuple):
+    """Satellites as a resting antenna sees them; all but linear in time over an epoch.
 
-    What the satellite does is all but linear over an epoch and is computed at its ends; what the
-    antenna does is taken at every point.
+    rate_mps: of the pseudorange without receiver clock; toward: what the antenna's velocity takes
+    off it.
     """
-    ends = []
+
+    time_s: FloatArray  # (2,) since the motion's origin
+    rate_mps: FloatArray  # (2, satellites)
+    toward_e: FloatArray  # (2, satellites, 3)
+
+    def at(self, time_s: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+        """Rates (n, satellites) and directions (n, satellites, 3) at instants (n,)."""
+        share = (np.atleast_1d(time_s) - self.time_s[0]) / (self.time_s[1] - self.time_s[0])
+        rate, toward = (
+            start + np.multiply.outer(share, end - start)
+            for start, end in (self.rate_mps, self.toward_e)
+        )
+        return rate, toward
+
+
+def sights_over(ephemerides: Sequence[Ephemeris], motion: Motion) -> Sights:
+    """Satellites over a motion, without atmosphere, computed at its ends."""
+    rates, towards = [], []
     for k in (0, -1):
         seen = orbits.predict(
             ephemerides,
             motion.origin.plus(float(motion.time_s[k])),
             motion.r_e_m[k],
-            motion.v_e_mps[k],
+            np.zeros(3),
         )
-        toward = seen.sight.unit_e * seen.sight.rate_scale[:, np.newaxis]
-        ends.append((seen.pseudorange_rate_mps + toward @ motion.v_e_mps[k], toward))
-    (rate_0, toward_0), (rate_1, toward_1) = ends
-    share = (motion.time_s - motion.time_s[0]) / (motion.time_s[-1] - motion.time_s[0])
+        towards.append(seen.sight.unit_e * seen.sight.rate_scale[:, np.newaxis])
+        rates.append(seen.pseudorange_rate_mps)
+    return Sights(motion.time_s[[0, -1]], np.array(rates), np.array(towards))
+
+
+def range_rates(sights: Sights, motion: Motion) -> FloatArray:
+    """Mean pseudorange rates between the points, without receiver clock: (satellites, n - 1).
+
+    What the antenna does is taken between all points.
+    """
+    v_e_mps = motion.v_e_mps
+    middle_s = 0.5 * (motion.time_s[:-1] + motion.time_s[1:])
+    share = (middle_s - sights.time_s[0]) / (sights.time_s[1] - sights.time_s[0])
+    (rate_0, rate_1), (toward_0, toward_1) = sights.rate_mps, sights.toward_e
     satellite = rate_0[:, np.newaxis] + np.outer(rate_1 - rate_0, share)
-    antenna = toward_0 @ motion.v_e_mps.T + (toward_1 - toward_0) @ motion.v_e_mps.T * share
+    antenna = toward_0 @ v_e_mps.T + (toward_1 - toward_0) @ v_e_mps.T * share
     return np.asarray(satellite - antenna)
 
 
@@ -132,12 +169,24 @@ def carrier_delay_rates(
     return np.asarray((lengths[1] - lengths[0]) / _DELAY_STEP_S)
 
 
+class Skyline(NamedTuple):
+    """What the profiles of an epoch were made from."""
+
+    row: Mapping[str, int]  # by satellite
+    sights: Sights  # atmosphere included
+    delay_rate_mps: FloatArray  # the atmosphere's share
+
+
+NO_SKYLINE = Skyline({}, Sights(np.zeros(2), np.zeros((2, 0)), np.zeros((2, 0, 3))), np.zeros(0))
+
+
 class Aider:
     """Makes the profiles of an epoch; atmosphere rates are kept for a while."""
 
     def __init__(self, parameters: PvtParameters, lever_b_m: FloatArray) -> None:
         self._parameters = parameters
         self.lever_b_m = lever_b_m
+        self.skyline = NO_SKYLINE  # of the last epoch
         self._delay_rates: dict[str, tuple[GpsTime, float]] = {}
 
     def profiles(
@@ -153,6 +202,7 @@ class Aider:
 
         drift_sps: of the receiver's clock, as open loop shall have it.
         """
+        self.skyline = NO_SKYLINE
         begin, end = (instant.since(trajectory.origin) for instant in span)
         motion = motion_over(trajectory, self.lever_b_m, begin, end)
         known = [
@@ -163,18 +213,26 @@ class Aider:
         if not known:
             return {}
         ephemerides = [ephemeris for _, ephemeris in known]
-        rates_mps = range_rates(ephemerides, motion)
-        rates_mps += self._atmosphere(known, nav, span[0], motion.r_e_m[0])[:, np.newaxis]
+        delay_rates_mps = self._atmosphere(known, nav, span[0], motion.r_e_m[0])
+        sights = sights_over(ephemerides, motion)
+        sights = sights._replace(rate_mps=sights.rate_mps + delay_rates_mps)
+        rates_mps = range_rates(sights, motion)
+        self.skyline = Skyline(
+            {listener.satellite: row for row, (listener, _) in enumerate(known)},
+            sights,
+            delay_rates_mps,
+        )
         start_s = motion.origin.since(from_ns(clock.origin_ns)) + float(motion.time_s[0])
         step_s = float(motion.time_s[1] - motion.time_s[0])
         made = {}
         for (listener, _), one_mps in zip(known, rates_mps, strict=True):
             carrier_hz = listener.signal.carrier_hz
+            wavelength_m = SPEED_OF_LIGHT_MPS / carrier_hz
             made[listener.satellite] = Profile(
                 first=(start_s + clock.error_s(start_s)) * listener.rate_hz,
                 step=step_s * listener.rate_hz,
                 ahead=AHEAD_S / step_s,
-                doppler_hz=-one_mps * (carrier_hz / SPEED_OF_LIGHT_MPS),
+                cycles=np.append(0.0, np.cumsum(one_mps)) * (-step_s / wavelength_m),
                 clock_hz=-drift_sps * carrier_hz,
             )
         return made

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from deepgnss.core.records import Event, FloatArray
 from deepgnss.core.time import GpsTime
-from deepgnss.deep.aiding import Aider, Listener, Profile
+from deepgnss.deep.aiding import AHEAD_S, Aider, Listener, Profile
 from deepgnss.deep.inertial import (
     alignment_settings,
     coupling_settings,
@@ -84,7 +84,8 @@ class CoupledNavigation:
         clock = receiver.clock
         if clock is None or not self.navigation.running:
             return NO_AIDS
-        span = (clock.time(first), clock.time(end))
+        # The last command of the epoch goes beyond it: an update of increments must be waited for.
+        span = (clock.time(first), clock.time(end).plus(AHEAD_S))
         trajectory = self.navigation.ahead(span[1])
         if trajectory is None:
             return NO_AIDS

@@ -9,7 +9,14 @@ from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import ecef
 from deepgnss.core.records import BDS_B1I, GPS_L1CA, Ephemeris, FloatArray
 from deepgnss.core.time import GpsTime
-from deepgnss.deep.aiding import AHEAD_S, Motion, Profile, carrier_delay_rates, range_rates
+from deepgnss.deep.aiding import (
+    AHEAD_S,
+    Motion,
+    Profile,
+    carrier_delay_rates,
+    range_rates,
+    sights_over,
+)
 from deepgnss.deep.coupled import ClockMemory
 from deepgnss.receiver import orbits
 from deepgnss.receiver.pvt import PvtParameters
@@ -33,7 +40,7 @@ def _motion() -> Motion:
     t = np.linspace(0.0, 0.1, 101)
     v0, a, j = np.array([20.0, -15.0, 16.0]), np.array([-12.0, 9.0, 13.0]), np.full(3, 115.0)
     r = np.outer(t, v0) + np.outer(t**2, a / 2) + np.outer(t**3, j / 6)
-    return Motion(t, START, PLACE_E_M + r, v0 + np.outer(t, a) + np.outer(t**2, j / 2))
+    return Motion(t, START, PLACE_E_M + r)
 
 
 def _pseudorange_m(ephemerides: list[Ephemeris], time_s: float, r_e_m: FloatArray) -> FloatArray:
@@ -43,13 +50,13 @@ def _pseudorange_m(ephemerides: list[Ephemeris], time_s: float, r_e_m: FloatArra
 def test_range_rates_are_the_slope_of_the_pseudorange() -> None:
     ephemerides, motion = _in_view(), _motion()
     assert {e.satellite[0] for e in ephemerides} == {"G", "C"}
-    rates = range_rates(ephemerides, motion)
-    for k in (1, 17, 50, 99):
+    rates = range_rates(sights_over(ephemerides, motion), motion)
+    for k in (0, 17, 50, 99):
         later, earlier = (
             _pseudorange_m(ephemerides, float(motion.time_s[i]), motion.r_e_m[i])
-            for i in (k + 1, k - 1)
+            for i in (k + 1, k)
         )
-        slope = (later - earlier) / (motion.time_s[k + 1] - motion.time_s[k - 1])
+        slope = (later - earlier) / (motion.time_s[k + 1] - motion.time_s[k])
         assert np.abs(rates[:, k] - slope).max() < 3e-4  # 1.5 mHz
 
 
@@ -71,20 +78,30 @@ def test_the_ionosphere_advances_the_carrier_and_the_troposphere_delays_it() -> 
     assert 1e-4 < np.abs(rates).max() < 0.05  # a satellite at 10°: a cycle in some 20 s
 
 
-@pytest.mark.parametrize("beyond", [False, True])
-def test_a_profile_gives_the_mean_slope_of_the_update_ahead(beyond: bool) -> None:
-    rate_hz = 4.0e6
+@pytest.mark.parametrize("shaken", [False, True])
+def test_a_command_makes_the_cycles_of_both_halves_of_its_update(shaken: bool) -> None:
+    """Also where 45 Hz shake the unit, whose values at the ends of updates would fold down."""
+    rate_hz, step_s = 4.0e6, 1e-3
+    t = np.arange(131) * step_s
+    cycles = 100.0 * t + 25.0 * t**2 + 300.0 * t**3
+    if shaken:
+        cycles += 0.03 * np.sin(2.0 * np.pi * 45.0 * t)
+    profile = Profile(8000.5, step_s * rate_hz, AHEAD_S / step_s, cycles, -3.0)
+    for k in (0, 37, 110):
+        given = profile(round(8000.5 + t[k] * rate_hz))
+        for share in (0.5, 1.0):
+            wait_s = share * AHEAD_S
+            moved = given.frequency_hz * wait_s + 0.5 * given.rate_hzps * wait_s**2
+            true = cycles[k + round(wait_s / step_s)] - cycles[k]
+            assert moved == pytest.approx(true, abs=1e-5)
+        assert given.clock_hz == -3.0
+
+
+def test_a_profile_goes_on_beyond_its_end_with_its_last_doppler() -> None:
     t = np.arange(131) * 1e-3
-    doppler_hz = 100.0 + 50.0 * t if beyond else 100.0 + 50.0 * t + 900.0 * t**2
-    profile = Profile(8000.5, 4000.0, AHEAD_S / 1e-3, doppler_hz, -3.0)
-    at_s = 0.125 if beyond else 0.05
-    given = profile(round(8000.5 + at_s * rate_hz))
-    expected = [np.interp(at_s + d, t, doppler_hz) for d in (0.0, AHEAD_S)]
-    if beyond:  # carried on along its last slope
-        expected[1] = 100.0 + 50.0 * (at_s + AHEAD_S)
-    assert given.frequency_hz == pytest.approx(expected[0], abs=1e-3)
-    assert given.rate_hzps == pytest.approx((expected[1] - expected[0]) / AHEAD_S, abs=0.05)
-    assert given.clock_hz == -3.0
+    given = Profile(0.0, 4000.0, 20.0, 100.0 * t + 25.0 * t**2, 0.0)(round(0.2 * 4.0e6))
+    assert given.frequency_hz == pytest.approx(106.5, abs=0.1)
+    assert given.rate_hzps == pytest.approx(0.0, abs=1e-3)
 
 
 def test_doppler_is_positive_when_range_shrinks() -> None:
@@ -93,9 +110,10 @@ def test_doppler_is_positive_when_range_shrinks() -> None:
     toward = orbits.predict(ephemerides, START, PLACE_E_M, np.zeros(3)).sight.unit_e[0]
     wavelength_m = SPEED_OF_LIGHT_MPS / GPS_L1CA.carrier_hz
     t = np.array([0.0, 0.05, 0.1])
-    still = Motion(t, START, np.tile(PLACE_E_M, (3, 1)), np.zeros((3, 3)))
-    nearer = still._replace(v_e_mps=np.tile(toward * wavelength_m, (3, 1)))
-    gained_hz = -(range_rates(ephemerides, nearer) - range_rates(ephemerides, still)) / wavelength_m
+    still = Motion(t, START, np.tile(PLACE_E_M, (3, 1)))
+    nearer = still._replace(r_e_m=PLACE_E_M + np.outer(t, toward * wavelength_m))
+    sights = sights_over(ephemerides, still)
+    gained_hz = -(range_rates(sights, nearer) - range_rates(sights, still)) / wavelength_m
     np.testing.assert_allclose(gained_hz, 1.0, atol=1e-4)
 
 
