@@ -11,7 +11,6 @@ not enter the orbit.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -19,17 +18,10 @@ from numpy.typing import NDArray
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne, geodetic
-from deepgnss.core.records import (
-    SIGNAL_IDS,
-    Ephemeris,
-    Epoch,
-    FloatArray,
-    NavData,
-    NavSolution,
-    Observation,
-)
+from deepgnss.core.records import Epoch, FloatArray, NavData, NavSolution
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import orbits
+from deepgnss.receiver.measured import NOBODY_REFUSED, Measured, measure
 from deepgnss.receiver.raim import GROSS_M, check_residuals, gross_errors
 from deepgnss.receiver.weights import (
     ErrorModel,
@@ -39,28 +31,21 @@ from deepgnss.receiver.weights import (
     rate_sigma,
 )
 
-__all__ = ["ErrorModel", "PvtParameters", "dilutions", "inverse", "solve", "unsolved"]
-
-NOBODY_REFUSED: Mapping[str, str] = MappingProxyType({})
+__all__ = [
+    "NOBODY_REFUSED",
+    "ErrorModel",
+    "PvtParameters",
+    "dilutions",
+    "inverse",
+    "solve",
+    "unsolved",
+]
 
 _MAX_ITERATIONS = 20
 _CONVERGED_M = 1.0  # the step after this one would be its square over the range: 1e-7 m
 _ATMOSPHERE_STEP_M = 10.0  # its delays change by 3 mm at zenith over this height
 _KINDS = ("elevation", "residual", "range")
 _PLAUSIBLE_HEIGHT_M = (-20e3, 2000e3)
-
-
-class _Measured(NamedTuple):
-    """Observations that have an ephemeris, as columns."""
-
-    satellites: tuple[str, ...]
-    usable: NDArray[np.bool_]  # False: unhealthy, or refused by somebody else
-    ephemerides: tuple[Ephemeris, ...]
-    states: orbits.SatelliteStates
-    ranges_m: FloatArray  # pseudorange with the satellite clock taken off
-    rates_mps: FloatArray  # −λD, NaN where there is none
-    carriers_hz: FloatArray
-    cn0_dbhz: FloatArray
 
 
 class _Fix(NamedTuple):
@@ -104,7 +89,7 @@ def solve(
     Returns a solution with `valid` False and a reason where there is none. `rejected` also names
     satellites of the position whose Doppler was left out of the velocity ("Doppler: …").
     """
-    measured, rejected = _measure(epoch, nav, refused)
+    measured, rejected = measure(epoch, nav, refused)
     start_e_m = previous.r_e_m if previous is not None and previous.valid else np.zeros(3)
     active = measured.usable.copy()
     screened = not parameters.raim
@@ -148,53 +133,11 @@ def solve(
     return _solution(epoch, parameters, measured, fix, rejected)
 
 
-def _measure(
-    epoch: Epoch, nav: NavData, refused: Mapping[str, str] = NOBODY_REFUSED
-) -> tuple[_Measured, dict[str, str]]:
-    """Observations with their satellites' states, and why others were left out."""
-    rejected: dict[str, str] = {}
-    chosen: list[tuple[Observation, Ephemeris]] = []
-    for observation in epoch.observations:
-        satellite = observation.satellite
-        ephemeris = orbits.select(nav, satellite, epoch.time)
-        if ephemeris is None:
-            rejected[satellite] = "no ephemeris"
-        elif not np.isfinite(observation.pseudorange_m):
-            rejected[satellite] = "no pseudorange"
-        else:
-            chosen.append((observation, ephemeris))
-            if ephemeris.health != 0:
-                rejected[satellite] = "unhealthy"
-            elif satellite in refused:
-                rejected[satellite] = refused[satellite]
-    observations = tuple(observation for observation, _ in chosen)
-    ephemerides = tuple(ephemeris for _, ephemeris in chosen)
-    readings_s = np.array([o.transmit.since(epoch.time) for o in observations])
-    carriers_hz = np.array([SIGNAL_IDS[o.signal].carrier_hz for o in observations])
-    dopplers_hz = np.array([o.doppler_hz for o in observations])
-    states = orbits.transmitted_states(ephemerides, epoch.time, readings_s) if chosen else _NOBODY
-    measured = _Measured(
-        satellites=tuple(o.satellite for o in observations),
-        usable=np.array([o.satellite not in rejected for o in observations], dtype=bool),
-        ephemerides=ephemerides,
-        states=states,
-        ranges_m=np.array([o.pseudorange_m for o in observations])
-        + SPEED_OF_LIGHT_MPS * (states.clock_s - states.group_delay_s),
-        rates_mps=-SPEED_OF_LIGHT_MPS / carriers_hz * dopplers_hz,
-        carriers_hz=carriers_hz,
-        cn0_dbhz=np.array([o.cn0_dbhz for o in observations]),
-    )
-    return measured, rejected
-
-
-_NOBODY = orbits.SatelliteStates(np.zeros((0, 3)), np.zeros((0, 3)), *(np.zeros(0),) * 3)
-
-
 def _adjust(
     epoch: Epoch,
     nav: NavData,
     parameters: PvtParameters,
-    measured: _Measured,
+    measured: Measured,
     active: NDArray[np.bool_],
     start_e_m: FloatArray,
 ) -> _Fix | _Failure:
@@ -260,14 +203,14 @@ def _is_gross(fix: _Fix | _Failure) -> bool:
     return bool(np.abs(fix.residuals_m[fix.used]).max() > GROSS_M)
 
 
-def _systems(measured: _Measured, rows: NDArray[np.intp]) -> list[str]:
+def _systems(measured: Measured, rows: NDArray[np.intp]) -> list[str]:
     """System letters in use, GPS first: the first one's clock is the receiver's."""
     return sorted({measured.satellites[row][0] for row in rows}, key=lambda s: (s != "G", s))
 
 
 def _below_mask(
     parameters: PvtParameters,
-    measured: _Measured,
+    measured: Measured,
     active: NDArray[np.bool_],
     elevation: FloatArray,
 ) -> dict[str, str]:
@@ -297,7 +240,7 @@ class _Velocity(NamedTuple):
 
 
 def _velocity(
-    parameters: PvtParameters, measured: _Measured, fix: _Fix, rejected: dict[str, str]
+    parameters: PvtParameters, measured: Measured, fix: _Fix, rejected: dict[str, str]
 ) -> _Velocity:
     """Velocity and clock drift from the Dopplers of the satellites used for the position."""
     sight = fix.sight
@@ -336,7 +279,7 @@ def _velocity(
 def _solution(
     epoch: Epoch,
     parameters: PvtParameters,
-    measured: _Measured,
+    measured: Measured,
     fix: _Fix,
     rejected: dict[str, str],
 ) -> NavSolution:
