@@ -1,8 +1,9 @@
 """One channel: generators, correlator call, carrier and code trackers, and a state machine.
 
 A step runs over one interval of whole code periods and reads like the block diagram: generate,
-correlate, discriminate, filter, command, lock, decide. Carrier phase runs at +Doppler here; the
-observables turn its sign (see `observables`).
+correlate, discriminate, filter, command, lock, decide. What it decides by is in `decisions`, its
+code loop in `code_loop`, what it does without phase lock in `hearing` and `windows`. Carrier phase
+runs at +Doppler here; the observables turn its sign (see `observables`).
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepgnss.core.loops import settling_time_s
 from deepgnss.core.records import (
     ChannelReport,
     ComplexArray,
@@ -23,25 +23,21 @@ from deepgnss.core.records import (
     RunningSums,
 )
 from deepgnss.receiver.baseband import Correlator, correlate
+from deepgnss.receiver.code_loop import CodeLoop
+from deepgnss.receiver.decisions import Go, Locked, Shift, decide
 from deepgnss.receiver.frequency_tracking import (
-    LockWatch,
     always_squares,
     noise_bandwidth_hz,
     spectral_lock,
-    window_of,
 )
+from deepgnss.receiver.hearing import Hearing
 from deepgnss.receiver.known_symbols import KnownSymbols, signs
 from deepgnss.receiver.locks import (
     FAINT_S,
     NO_LOCK,
     USUAL_S,
     cn0_dbhz,
-    faint_cn0_dbhz,
-    false_lock_side,
-    fast_cn0_dbhz,
-    recent_cn0_dbhz,
     restart_phase,
-    surely_seen_dbhz,
     update_locks,
     update_powers,
 )
@@ -53,23 +49,14 @@ from deepgnss.receiver.modes import (
     Coast,
     Mode,
     TrackingSettings,
-    lowest_frequency_lock_dbhz,
     unaided,
 )
 from deepgnss.receiver.signals import Signal, code_runs, neighbour_correlation
-from deepgnss.receiver.sync import (
-    BitSync,
-    add_prompts,
-    decided_signs,
-    demodulate,
-    start_bit_sync,
-    symbol_edge,
-)
+from deepgnss.receiver.sync import decided_signs
 from deepgnss.receiver.trackers import (
     NO_CORRECTION,
     Accumulated,
     Correction,
-    DelayLock,
     FrequencyLock,
     NcoState,
     PhaseLock,
@@ -77,17 +64,9 @@ from deepgnss.receiver.trackers import (
     accumulate,
     advance,
     corrected,
-    scheduled_bandwidth_hz,
 )
+from deepgnss.receiver.windows import Windows
 
-_REMEMBERED_S = 4.0  # prompts of a frequency-locked stretch kept for bit sync
-_HYSTERESIS_DB = 2.0  # below the threshold of phase lock before it is given up
-_RETURN_DB = 1.0  # above the threshold of frequency tracking: it is taken up again
-_DOUBTED_DB = 3.0  # below the threshold of frequency tracking: a window with nothing to follow
-_ABSENT_DB = 7.0  # below that threshold: nothing is there
-_FAINT_S = 2.5  # of frequency tracking before its C/N0 is believed
-_SETTLING_WINDOWS = 3  # after which a code loop on windows is believed
-_LOOP_PRODUCT = 0.4  # bandwidth × window: a wider code loop does not settle
 _HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
 
 
@@ -152,19 +131,12 @@ class Channel:
         self._taps: FloatArray = np.array([half, 0.0, -half])
         self._rate = sample_rate_hz
         self._sample_chips = signal.id.chip_rate_hz / sample_rate_hz
-        self._neighbour = neighbour_correlation(signal.id.name, prn)
         self._length = float(signal.id.code_chips)
         self._margin = 4 + int(2.0 * settings.spacing_chips / self._sample_chips)
         self._history = int(_HISTORY_UPDATES * signal.update_s * sample_rate_hz)
         self._coded = bool(signal.secondary_code)
-        self._bit_sync: BitSync = start_bit_sync(signal.secondary, coded=self._coded)
-        self._heard: list[tuple[NcoCommand, ComplexArray]] = []  # without phase lock: prompts
-        self._heard_first = 0
-        faint = settings.frequency
-        self._window: list[ComplexArray] = []  # correlations of frequency tracking, no code on
-        self._window_updates = int(faint.window_s / signal.update_s + 1e-9)
-        self._watch = LockWatch(signal.symbol_s, self._window_updates * signal.update_s, faint.bins)
-        self._bit_sync_first = 0
+        self._hearing = Hearing(signal)
+        self.windows = Windows(signal, settings)
         self._pieces: list[ComplexArray] = []  # of a symbol the lock detectors wait for
         self._symbol_sum = 0j
         self._symbol_periods = 0
@@ -177,16 +149,22 @@ class Channel:
             ),
             Mode.PHASE: PhaseLock(settings.carrier_order, settings.carrier_bandwidth_hz),
         }
-        self._spectral_tracker = spectral_lock(faint)
-        self._always_squares = always_squares(faint.discriminator)
-        self._off_hz = 0.0  # by which a watched frequency lock is off
+        self._spectral_tracker = spectral_lock(settings.frequency)
+        self._always_squares = always_squares(settings.frequency.discriminator)
         self._blind_tracker = FrequencyLock(settings.frequency_bandwidth_hz, squared=True)
         self._phase_since = sample
-        self._phase_valid = False
-        self._frequency_error_hz = 0.0
+        self.phase_valid = False
+        self.frequency_error_hz = 0.0
         self._acquired_hz = doppler_hz
 
-        self._restart_code_loop(sample, settings.pull_in_s)
+        self._code_loop = CodeLoop(
+            settings,
+            self._sample_chips,
+            neighbour_correlation(signal.id.name, prn),
+            sample_rate_hz,
+            self.windows.seconds,
+        )
+        self._code_loop.restart(sample, settings.pull_in_s)
         self.periods = 0
         self._carrier = NcoState(0.0, doppler_hz, 0.0)
         self._code_offset_hz = 0.0
@@ -288,19 +266,19 @@ class Channel:
             window = self._complete_window(seen)
             if window is not None:
                 carrier = self._spectral_tracker.correct(window)
-                code = self._window_code_tracker.correct(
+                code = self._code_loop.on_windows.correct(
                     self._spectral_tracker.straightened(window)
                 )
                 middle_s = end_s - 0.5 * window.seconds
         elif self.mode is not Mode.HOLD and 4 * seen.periods.shape[0] >= self._full:
             carrier = self._carrier_tracker.correct(seen)
-            code = self._code_tracker.correct(seen)
+            code = self._code_loop.tracker.correct(seen)
         self.history[-1] = self.history[-1]._replace(correction=carrier, middle_s=middle_s)
         before = advance(self._carrier, elapsed_s)
         after = corrected(before, carrier, elapsed_s - middle_s)
         self._carrier = self._aided(after, aiding(command.sample + whole), elapsed_s)
-        self._frequency_error_hz += 0.3 * (carrier.frequency - self._frequency_error_hz)
-        if self._narrow_code_loop():  # a wide loop's noisy rate must not live on
+        self.frequency_error_hz += 0.3 * (carrier.frequency - self.frequency_error_hz)
+        if self._code_loop.narrow(command.sample):  # a wide loop's noisy rate must not live on
             self._code_offset_hz = 0.0
             code = code._replace(frequency=0.0)
         self._code_offset_hz += code.frequency
@@ -366,87 +344,29 @@ class Channel:
             return self._blind_tracker
         return self._carrier_trackers.get(self.mode, self._carrier_trackers[Mode.FREQUENCY])
 
-    def _restart_code_loop(self, sample: int, settled_s: float) -> None:
-        """Begin the bandwidth schedule anew; ranges count once the loop has settled."""
-        self._code_since = sample
-        self._code_settled_s = settled_s
-        self._code_tracker = self._delay_lock(self.settings.code_bandwidths_hz[0])
-
-    def _settling_s(self, mode: Mode) -> float:
-        """Time a code loop takes that starts in a mode some way off."""
-        if mode is Mode.WEAK:
-            return _SETTLING_WINDOWS * self._window_updates * self.signal.update_s
-        return settling_time_s(self.settings.code_bandwidths_hz[0])
-
-    @property
-    def _code_settled(self) -> bool:
-        return self._seconds_since(self._code_since) > self._code_settled_s
-
-    def _delay_lock(self, bandwidth_hz: float) -> DelayLock:
-        settings = self.settings
-        return DelayLock(
-            settings.code_order,
-            bandwidth_hz,
-            settings.spacing_chips,
-            self._sample_chips,
-            self._neighbour,
-        )
-
-    def _narrow_code_loop(self) -> bool:
-        """Follow the bandwidth schedule; True when the loop just became narrower."""
-        schedule = self.settings.code_bandwidths_hz
-        present = self._code_tracker.bandwidth_hz
-        if present == schedule[-1]:
-            return False
-        due = scheduled_bandwidth_hz(schedule, self._seconds_since(self._code_since))
-        if due == present:
-            return False
-        self._code_tracker = self._delay_lock(due)
-        return True
-
     def _seconds_since(self, sample: int) -> float:
         return (self.command.sample - sample) / self._rate
 
     # --- frequency tracking --------------------------------------------------------------------
-
-    def _restart_window(self) -> None:
-        self._window = []
-        self._watch.clear()
-        self._off_hz = 0.0
 
     def _complete_window(self, seen: Accumulated) -> Accumulated | None:
         """Collect an update; the window it completes, None where that has no signal to follow."""
         count, size = seen.periods.shape[0], self.signal.symbol_periods
         if count % size:  # up to the first symbol edge
             return None
-        self._window.append(seen.periods if count == size else self._taken)
-        if len(self._window) < self._window_updates:
-            return None
-        taps, self._window = np.concatenate(self._window), []
-        first = self.periods + count - taps.shape[0]
-        symbols = taps.reshape(-1, size, taps.shape[1])
-        sums = symbols.sum(axis=1)
-        unaided_hz = self.command.carrier_hz - self._aiding.frequency_hz
-        self._off_hz = self._watch.off_hz(symbols[:, :, 1], unaided_hz)
-        power = float(np.vdot(sums[:, 1], sums[:, 1]).real) / sums.shape[0]
-        signal = (power / size - self.locks.noise) / size
-        lowest = 10.0 ** (0.1 * (self.settings.frequency_threshold_dbhz - _DOUBTED_DB))
-        if signal < lowest * seen.period_s * self.locks.noise:
-            return None
-        known = self._known_signs(first, sums.shape[0])
-        return window_of(sums, self.signal.symbol_s, known, size * self.locks.noise)
+        return self.windows.add(
+            seen.periods if count == size else self._taken,
+            self.periods + count,
+            self.locks.noise,
+            self.command.carrier_hz - self._aiding.frequency_hz,
+            self._known_signs,
+        )
 
     def _known_signs(self, first: int, count: int) -> FloatArray | None:
         """Signs of symbols from a period of this channel's count on, where they are known."""
         if self.known is None or self.anchor is None or self._always_squares:
             return None
         return signs(self.known, self.anchor + first, count, self.signal.symbol_periods)
-
-    @property
-    def _window_code_tracker(self) -> DelayLock:
-        """The code loop on windows: one too wide for them does not settle."""
-        widest_hz = _LOOP_PRODUCT / (self._window_updates * self.signal.update_s)
-        return self._delay_lock(min(self._code_tracker.bandwidth_hz, widest_hz))
 
     # --- detect, collect, decide -------------------------------------------------------------
 
@@ -461,30 +381,15 @@ class Channel:
                 self.locks = update_locks(self.locks, symbol, size)
         if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
             return
-        if not self._heard:
-            self._heard_first = self.periods - seen.periods.shape[0]
         prompts = self._taken[:, 1]
-        self._heard.append((self.history[-1].command, prompts))
-        if len(self._heard) * self.signal.update_s > _REMEMBERED_S:
-            self._heard_first += self._heard.pop(0)[1].size
+        first = self.periods - prompts.size
+        self._hearing.add(self.history[-1].command, prompts, first)
         if self.edge is None:
-            first = self._heard_first if self._bit_sync.symbols == 0 else self._bit_sync_first
-            self._bit_sync_first = first
-            self._bit_sync = add_prompts(
-                self._bit_sync, prompts, self.locks.signal, self.locks.noise
-            )
-            edge = symbol_edge(self._bit_sync)
+            edge = self._hearing.edge(prompts, self.locks.signal, self.locks.noise)
             if edge is not None and edge.alternating:
                 self._leave_alternating_lock()
             elif edge is not None:
-                symbols = self._bit_sync.symbols
-                self.set_edge(self._bit_sync_first + edge.period, f"{symbols} symbols")
-
-    def _carrier_turns(self, command: NcoCommand, periods: int) -> ComplexArray:
-        """Carrier the generator ran on a command in the middles of its code periods."""
-        t = self.signal.period_s * (np.arange(periods) + 0.5) - command.code_chips / command.code_hz
-        cycles = command.carrier_cycles + t * (command.carrier_hz + 0.5 * t * command.carrier_hzps)
-        return np.asarray(np.exp(2j * np.pi * np.mod(cycles, 1.0)))
+                self.set_edge(edge.period, f"{self._hearing.synced_by} symbols")
 
     def _whole_symbol(self, seen: Accumulated) -> Accumulated | None:
         """Intervals put together to a symbol for the lock detectors; None while it is not full."""
@@ -505,27 +410,9 @@ class Channel:
             self._plan()
 
     def _look_back(self, edge: int) -> None:
-        """Demodulate the symbols heard without phase lock and hand the phase to the phase loop.
-
-        Called at a symbol edge, so the last symbol remembered ends at the command.
-        """
-        size = self.signal.symbol_periods
-        prompts: ComplexArray = np.concatenate(
-            [prompts * self._carrier_turns(at, prompts.size) for at, prompts in self._heard]
-        )
-        # The generator followed the loop; seen from one frequency the carrier runs straight.
-        back_s = self.signal.period_s * (np.arange(prompts.size) + 0.5 - prompts.size)
-        prompts *= np.exp(-2j * np.pi * (self._carrier.frequency * back_s + self._carrier.phase))
-        skip = (edge - self._heard_first) % size
-        seen = demodulate(
-            prompts[skip:].reshape(-1, size) @ self.signal.secondary, self.signal.symbol_s
-        )
-        self.symbols = seen.symbols
-        self.symbols_first = self._heard_first + skip
-        self._carrier = self._carrier._replace(
-            phase=self._carrier.phase + seen.phase_cycles + 0.5 * seen.step_cycles,
-            frequency=self._carrier.frequency + seen.step_cycles / self.signal.symbol_s,
-        )
+        """Hand the phase of what was heard without phase lock to the phase loop."""
+        seen = self._hearing.look_back(edge, self._carrier)
+        self.symbols, self.symbols_first, self._carrier = seen
         self._symbol_sum, self._symbol_periods = 0j, 0
 
     def _collect_symbols(self, seen: Accumulated) -> None:
@@ -544,107 +431,15 @@ class Channel:
             self._symbol_sum, self._symbol_periods = 0j, 0
 
     def _decide(self, seen: Accumulated) -> None:
-        """The state machine: at most one transition per interval."""
-        settings = self.settings
-        here_s = self._seconds_since(self._since)
-        cn0 = cn0_dbhz(self.locks, seen.period_s)
-        fast = fast_cn0_dbhz(self.locks, seen.period_s)
-        weak = max(
-            settings.frequency_threshold_dbhz,
-            lowest_frequency_lock_dbhz(settings.phase_threshold_dbhz),
-        )
-        if cn0 > weak + 10.0:
-            fast = min(fast, recent_cn0_dbhz(self.locks, seen.period_s))
-        gone = fast < weak
-        match self.mode:
-            case Mode.PULL_IN:
-                if here_s >= settings.pull_in_s and gone:
-                    self._go(Mode.LOST, f"no signal after acquisition: {fast:.1f} dB-Hz")
-                elif here_s >= settings.pull_in_s and abs(self._frequency_error_hz) < 5.0:
-                    self._go(Mode.FREQUENCY, f"frequency settled at {fast:.1f} dB-Hz")
-                elif here_s > 10.0 * settings.pull_in_s:
-                    self._go(Mode.LOST, "frequency does not settle")
-            case Mode.FREQUENCY:
-                if gone and here_s > 0.1:
-                    self._go(self._refuge(fast), f"C/N0 fell to {fast:.1f} dB-Hz")
-                elif here_s > 1.0 and self.edge is not None and cn0 < settings.phase_threshold_dbhz:
-                    self._go(Mode.WEAK, f"{cn0:.1f} dB-Hz, too weak for the phase")
-                elif (
-                    self.edge is not None
-                    and (self.periods - self.edge) % self.signal.symbol_periods == 0
-                    and here_s > 0.1
-                    and abs(self._frequency_error_hz) < 3.0
-                    and cn0 > settings.phase_threshold_dbhz
-                ):
-                    self._go(Mode.PHASE, f"symbol edges known, {cn0:.1f} dB-Hz")
-            case Mode.PHASE:
-                self._watch_phase(here_s, cn0, fast, gone)
-            case Mode.WEAK:
-                self._watch_frequency(here_s, cn0)
-            case Mode.HOLD:
-                back = faint_cn0_dbhz(self.locks, seen.period_s)
-                if not gone and here_s > 0.1 and fast > settings.phase_threshold_dbhz:
-                    self._go(Mode.FREQUENCY, f"signal back at {fast:.1f} dB-Hz")
-                elif (
-                    self.edge is not None
-                    and here_s > 0.5
-                    and back
-                    > max(
-                        settings.frequency_threshold_dbhz + _RETURN_DB,
-                        surely_seen_dbhz(self.signal.symbol_periods, seen.period_s),
-                    )
-                ):
-                    self._go(Mode.WEAK, f"signal back at {back:.1f} dB-Hz")
-                elif here_s > (
-                    settings.lost_after_s if self._aiding == NO_AIDING else settings.open_loop_s
-                ):
-                    self._go(Mode.LOST, f"no signal for {here_s:.1f} s")
-            case Mode.LOST:
-                pass
-
-    def _refuge(self, fast_dbhz: float) -> Mode:
-        """Where a channel goes whose signal fell below what phase or FLL need."""
-        bearable = fast_dbhz > self.settings.frequency_threshold_dbhz
-        return Mode.WEAK if bearable and self.edge is not None else Mode.HOLD
-
-    def _watch_frequency(self, here_s: float, cn0: float) -> None:
-        settings = self.settings
-        lowest = settings.frequency_threshold_dbhz
-        if self._window:  # in the midst of one
-            return
-        recent = faint_cn0_dbhz(self.locks, self.signal.period_s)
-        if self._off_hz:
-            self._leave_false_lock(self._off_hz)
-        elif self._watch.suspicious:
-            pass
-        elif here_s > 0.6 and recent < lowest - _ABSENT_DB:
-            self._go(Mode.HOLD, f"C/N0 fell to {recent:.1f} dB-Hz")
-        elif here_s > _FAINT_S and cn0 < lowest:
-            self._go(Mode.HOLD, f"C/N0 {cn0:.1f} dB-Hz, too weak for the frequency")
-        elif (
-            here_s > 1.0
-            and min(cn0, recent) > settings.phase_threshold_dbhz
-            and (self.periods - (self.edge or 0)) % self.signal.symbol_periods == 0
-        ):
-            self._go(Mode.PHASE, f"strong enough for the phase, {cn0:.1f} dB-Hz")
-
-    def _watch_phase(self, here_s: float, cn0: float, fast_dbhz: float, gone: bool) -> None:
-        indicator = self.locks.phase
-        lowest = self.settings.phase_threshold_dbhz - _HYSTERESIS_DB
-        if gone:
-            self._go(self._refuge(fast_dbhz), f"C/N0 fell to {fast_dbhz:.1f} dB-Hz")
-        elif here_s > 0.5 and cn0 < lowest:
-            self._go(Mode.WEAK, f"C/N0 {cn0:.1f} dB-Hz, too weak for the phase")
-        elif here_s > 0.5 and indicator < 0.4:
-            self._go(Mode.FREQUENCY, f"phase lock lost: mean cos 2φ {indicator:.2f}")
-        elif here_s > 0.2 and indicator > 0.8:
-            side = false_lock_side(self.locks)
-            if side:
-                self._leave_false_lock(side * 0.5 / self.signal.symbol_s)
-            elif not self._phase_valid:
-                self._phase_valid = True
+        match decide(self, seen.period_s):
+            case Go(mode, reason):
+                self._go(mode, reason)
+            case Shift(off_hz):
+                self._leave_false_lock(off_hz)
+            case Locked(reason):
+                self.phase_valid = True
                 self._phase_since = self.command.sample
-                self._note("phase lock", f"mean cos 2φ {indicator:.2f}")
+                self._note("phase lock", reason)
 
     def _leave_false_lock(self, off_hz: float) -> None:
         self._forget_phase()
@@ -653,7 +448,7 @@ class Channel:
         )
         self.command = self._command(self.command.sample, self.command.code_chips)
         self.locks = restart_phase(self.locks)
-        self._restart_window()
+        self.windows.restart()
         self._since = self.command.sample
         self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
 
@@ -664,15 +459,15 @@ class Channel:
         )
         self._carrier = self._carrier._replace(frequency=self._carrier.frequency + off_hz)
         self.command = self._command(self.command.sample, self.command.code_chips)
-        self._heard = []
-        self._bit_sync = start_bit_sync(self.signal.secondary, coded=self._coded)
+        self._hearing.forget()
+        self._hearing.restart_sync()
         self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
 
     def _forget_phase(self) -> None:
         """Phase continues with an unknown number of cycles and an unknown polarity."""
         self.slips += 1
         self.half_cycle = None
-        self._phase_valid = False
+        self.phase_valid = False
 
     def _go(self, mode: Mode, reason: str) -> None:
         if mode not in TRANSITIONS[self.mode]:
@@ -686,15 +481,17 @@ class Channel:
             self._carrier = self._carrier._replace(rate=self._aiding.rate_hzps)
         self.command = self._command(self.command.sample, self.command.code_chips)
         if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
-            self._heard = []
-        self._restart_window()
+            self._hearing.forget()
+        self.windows.restart()
         if mode is Mode.FREQUENCY:
-            self._bit_sync = start_bit_sync(self.signal.secondary, coded=self._coded)
-        if self.mode is Mode.HOLD or (self.mode is Mode.WEAK and not self._code_settled):
-            self._restart_code_loop(self.command.sample, self._settling_s(mode))
+            self._hearing.restart_sync()
+        here = self.command.sample
+        if self.mode is Mode.HOLD or (self.mode is Mode.WEAK and not self._code_loop.settled(here)):
+            windows = mode is Mode.WEAK
+            self._code_loop.restart(here, self._code_loop.settling_s(windows=windows))
         if mode is Mode.WEAK:  # its long average is not to begin with what was stronger
             self.locks = self.locks._replace(seconds=0.0)
-        self._frequency_error_hz = 0.0
+        self.frequency_error_hz = 0.0
         self.mode = mode
         self._since = self.command.sample
         self._note(mode.value, reason)
@@ -724,6 +521,11 @@ class Channel:
         ]
 
     # --- told from outside -----------------------------------------------------------------------
+
+    @property
+    def seconds_in_mode(self) -> float:
+        """Since the last change of mode, or what counts as one."""
+        return self._seconds_since(self._since)
 
     @property
     def coasting(self) -> bool:
@@ -796,8 +598,8 @@ class Channel:
         return Interval(
             self.command,
             self.periods,
-            settled and self._code_settled,
-            self._phase_valid,
+            settled and self._code_loop.settled(self.command.sample),
+            self.phase_valid,
             self.slips,
             self._phase_since,
             self.cn0_dbhz,
@@ -841,10 +643,10 @@ class Channel:
             - self.command.carrier_hz
             if self._aiding != NO_AIDING
             else 0.0,
-            lock_time_s=self._seconds_since(self._phase_since) if self._phase_valid else 0.0,
+            lock_time_s=self._seconds_since(self._phase_since) if self.phase_valid else 0.0,
             coherent_s=min(self._full, self.signal.symbol_periods) * self.signal.period_s
             if self.edge is not None
             else self.signal.period_s,
             carrier_bandwidth_hz=self._carrier_bandwidth_hz,
-            code_bandwidth_hz=self._code_tracker.bandwidth_hz,
+            code_bandwidth_hz=self._code_loop.tracker.bandwidth_hz,
         )

@@ -1,0 +1,199 @@
+"""When a channel changes what it is doing: by C/N0, lock detectors and aiding, T figures 5.2, 5.3.
+
+Every rule of the state machine is here; the channel carries out what is decided.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from deepgnss.receiver.locks import (
+    LockState,
+    cn0_dbhz,
+    faint_cn0_dbhz,
+    false_lock_side,
+    fast_cn0_dbhz,
+    recent_cn0_dbhz,
+    surely_seen_dbhz,
+)
+from deepgnss.receiver.modes import Mode, TrackingSettings, lowest_frequency_lock_dbhz
+from deepgnss.receiver.signals import Signal
+from deepgnss.receiver.windows import Windows
+
+_HYSTERESIS_DB = 2.0  # below the threshold of phase lock before it is given up
+_RETURN_DB = 1.0  # above the threshold of frequency tracking: it is taken up again
+_ABSENT_DB = 7.0  # below that threshold: nothing is there
+_FAINT_S = 2.5  # of frequency tracking before its C/N0 is believed
+_STRONG_DB = 10.0  # above the limit: a signal whose loss is seen by few intervals
+
+
+class Go(NamedTuple):
+    """Change of mode."""
+
+    mode: Mode
+    reason: str
+
+
+class Shift(NamedTuple):
+    """A false lock is to be left."""
+
+    off_hz: float
+
+
+class Locked(NamedTuple):
+    """The phase counts from here on."""
+
+    reason: str
+
+
+Verdict = Go | Shift | Locked | None
+
+
+class Tracked(Protocol):
+    """What of a channel the rules look at."""
+
+    signal: Signal
+    settings: TrackingSettings
+    mode: Mode
+    locks: LockState
+    edge: int | None
+    periods: int
+    frequency_error_hz: float
+    phase_valid: bool
+    windows: Windows
+
+    @property
+    def seconds_in_mode(self) -> float:
+        """Since the last change of mode, or what counts as one."""
+
+    @property
+    def coasting(self) -> bool:
+        """Whether it runs on by aiding."""
+
+
+def decide(channel: Tracked, period_s: float) -> Verdict:
+    """What to do after an interval: at most one thing."""
+    settings = channel.settings
+    here_s = channel.seconds_in_mode
+    cn0 = cn0_dbhz(channel.locks, period_s)
+    fast = fast_cn0_dbhz(channel.locks, period_s)
+    weak = max(
+        settings.frequency_threshold_dbhz,
+        lowest_frequency_lock_dbhz(settings.phase_threshold_dbhz),
+    )
+    if cn0 > weak + _STRONG_DB:
+        fast = min(fast, recent_cn0_dbhz(channel.locks, period_s))
+    gone = fast < weak
+    match channel.mode:
+        case Mode.PULL_IN:
+            return _pulling_in(channel, here_s, fast, gone)
+        case Mode.FREQUENCY:
+            return _frequency(channel, here_s, cn0, fast, gone)
+        case Mode.PHASE:
+            return _phase(channel, here_s, cn0, fast, gone)
+        case Mode.WEAK:
+            return _weak(channel, here_s, cn0)
+        case Mode.HOLD:
+            return _hold(channel, here_s, fast, gone, period_s)
+    return None
+
+
+def _pulling_in(channel: Tracked, here_s: float, fast: float, gone: bool) -> Verdict:
+    patience_s = channel.settings.pull_in_s
+    if here_s >= patience_s and gone:
+        return Go(Mode.LOST, f"no signal after acquisition: {fast:.1f} dB-Hz")
+    if here_s >= patience_s and abs(channel.frequency_error_hz) < 5.0:
+        return Go(Mode.FREQUENCY, f"frequency settled at {fast:.1f} dB-Hz")
+    if here_s > 10.0 * patience_s:
+        return Go(Mode.LOST, "frequency does not settle")
+    return None
+
+
+def _frequency(channel: Tracked, here_s: float, cn0: float, fast: float, gone: bool) -> Verdict:
+    threshold = channel.settings.phase_threshold_dbhz
+    if gone and here_s > 0.1:
+        return Go(_refuge(channel, fast), f"C/N0 fell to {fast:.1f} dB-Hz")
+    if channel.edge is None:
+        return None
+    if here_s > 1.0 and cn0 < threshold:
+        return Go(Mode.WEAK, f"{cn0:.1f} dB-Hz, too weak for the phase")
+    if (
+        _at_symbol_edge(channel)
+        and here_s > 0.1
+        and abs(channel.frequency_error_hz) < 3.0
+        and cn0 > threshold
+    ):
+        return Go(Mode.PHASE, f"symbol edges known, {cn0:.1f} dB-Hz")
+    return None
+
+
+def _phase(channel: Tracked, here_s: float, cn0: float, fast: float, gone: bool) -> Verdict:
+    indicator = channel.locks.phase
+    lowest = channel.settings.phase_threshold_dbhz - _HYSTERESIS_DB
+    if gone:
+        return Go(_refuge(channel, fast), f"C/N0 fell to {fast:.1f} dB-Hz")
+    if here_s > 0.5 and cn0 < lowest:
+        return Go(Mode.WEAK, f"C/N0 {cn0:.1f} dB-Hz, too weak for the phase")
+    if here_s > 0.5 and indicator < 0.4:
+        return Go(Mode.FREQUENCY, f"phase lock lost: mean cos 2φ {indicator:.2f}")
+    if here_s > 0.2 and indicator > 0.8:
+        side = false_lock_side(channel.locks)
+        if side:
+            return Shift(side * 0.5 / channel.signal.symbol_s)
+        if not channel.phase_valid:
+            return Locked(f"mean cos 2φ {indicator:.2f}")
+    return None
+
+
+def _weak(channel: Tracked, here_s: float, cn0: float) -> Verdict:
+    settings, windows = channel.settings, channel.windows
+    lowest = settings.frequency_threshold_dbhz
+    if windows.under_way:
+        return None
+    recent = faint_cn0_dbhz(channel.locks, channel.signal.period_s)
+    if windows.off_hz:
+        return Shift(windows.off_hz)
+    if windows.suspicious:
+        return None
+    if here_s > 0.6 and recent < lowest - _ABSENT_DB:
+        return Go(Mode.HOLD, f"C/N0 fell to {recent:.1f} dB-Hz")
+    if here_s > _FAINT_S and cn0 < lowest:
+        return Go(Mode.HOLD, f"C/N0 {cn0:.1f} dB-Hz, too weak for the frequency")
+    if (
+        here_s > 1.0
+        and min(cn0, recent) > settings.phase_threshold_dbhz
+        and _at_symbol_edge(channel)
+    ):
+        return Go(Mode.PHASE, f"strong enough for the phase, {cn0:.1f} dB-Hz")
+    return None
+
+
+def _hold(channel: Tracked, here_s: float, fast: float, gone: bool, period_s: float) -> Verdict:
+    settings = channel.settings
+    back = faint_cn0_dbhz(channel.locks, period_s)
+    if not gone and here_s > 0.1 and fast > settings.phase_threshold_dbhz:
+        return Go(Mode.FREQUENCY, f"signal back at {fast:.1f} dB-Hz")
+    if (
+        channel.edge is not None
+        and here_s > 0.5
+        and back
+        > max(
+            settings.frequency_threshold_dbhz + _RETURN_DB,
+            surely_seen_dbhz(channel.signal.symbol_periods, period_s),
+        )
+    ):
+        return Go(Mode.WEAK, f"signal back at {back:.1f} dB-Hz")
+    if here_s > (settings.open_loop_s if channel.coasting else settings.lost_after_s):
+        return Go(Mode.LOST, f"no signal for {here_s:.1f} s")
+    return None
+
+
+def _refuge(channel: Tracked, fast_dbhz: float) -> Mode:
+    """Where a channel goes whose signal fell below what phase or FLL need."""
+    bearable = fast_dbhz > channel.settings.frequency_threshold_dbhz
+    return Mode.WEAK if bearable and channel.edge is not None else Mode.HOLD
+
+
+def _at_symbol_edge(channel: Tracked) -> bool:
+    edge, size = channel.edge, channel.signal.symbol_periods
+    return edge is not None and (channel.periods - edge) % size == 0
