@@ -43,6 +43,7 @@ _COMMANDS = {
     "snapshot": "Position from milliseconds of recording and a NAV file.",
     "ins": "Couple an inertial log and a GNSS solution.",
     "simulate": "Make a recording with known truth.",
+    "batch": "Process many drives, side by side.",
     "reproduce": "Measure the published figures again.",
     "config": "Check, show or explain a configuration.",
 }
