@@ -28,9 +28,11 @@ from deepgnss.ins import (
     fix_of,
     process_noise,
 )
+from deepgnss.ins.error_state import difference
 from deepgnss.ins.fixes import with_lasting_errors
 from deepgnss.ins.increments import SAME_INSTANT_S, between
 from deepgnss.ins.integration import Coupling, InsEvent, Instant
+from deepgnss.ins.measurements import Point, body_point
 from deepgnss.ins.updates import Innovation
 from deepgnss.receiver.receiver import Fix
 
@@ -53,6 +55,23 @@ class InertialInputs:
 
 
 @dataclass(frozen=True, slots=True)
+class Leg:
+    """The way from the tag before to a tag by the increments alone, and its correction there."""
+
+    begin_s: float  # since `origin`
+    end_s: float
+    origin: GpsTime
+    moved_e_m: FloatArray  # (3,) antenna
+    gained_e_mps: FloatArray  # (3,) in velocity
+    H_begin: FloatArray  # (3, size) slope of the antenna's position (NED) in the errors
+    H_end: FloatArray  # (3, size)
+    Phi: FloatArray  # (inertial, inertial) of the errors, from begin to end
+    Q: FloatArray
+    correction: FloatArray  # (inertial,) by which the tag's fix changed the errors
+    at_rest: bool
+
+
+@dataclass(frozen=True, slots=True)
 class NavigationState:
     """The navigation at a tag, for files and for whoever predicts from it."""
 
@@ -61,6 +80,7 @@ class NavigationState:
     antenna_r_e_m: FloatArray  # (3,)
     antenna_v_e_mps: FloatArray  # (3,)
     antenna_covariance: FloatArray  # (6, 6) of its position and velocity, NED
+    leg: Leg | None  # that led here; None without increments
 
 
 class Navigation:
@@ -113,9 +133,11 @@ class Navigation:
             if self._coupling is None:
                 self._align(time_s)
                 continue
+            start = self._coupling.antenna()
             self._go_on(self._coupling, time_s, gnss)
             if self._coupling is not None:
-                states.append(self._state(self._coupling))
+                leg = self._leg(self._coupling, start)
+                states.append(self._state(self._coupling, leg))
         return states
 
     def _weighed(self, fix: GnssFix) -> GnssFix:
@@ -146,7 +168,28 @@ class Navigation:
             return None
         return float(wheels.speed_mps[k])
 
-    def _state(self, coupling: Coupling) -> NavigationState:
+    def _leg(self, coupling: Coupling, start: Point) -> Leg | None:
+        way, before, after = coupling.carried, coupling.expected, coupling.estimate
+        if way.omega_ib_b_radps.size == 0:
+            return None
+        lever_b_m = self._inputs.settings.lever_b_m
+        there = way.antenna(way.time_s[[0, -1]], lever_b_m)
+        end = body_point(before.ins, way.omega_ib_b_radps[-1], lever_b_m, before.layout)
+        return Leg(
+            float(way.time_s[0]),
+            float(way.time_s[-1]),
+            way.origin,
+            there.r_e_m[1] - there.r_e_m[0],
+            there.v_e_mps[1] - there.v_e_mps[0],
+            start.H_position,
+            end.H_position,
+            way.Phi,
+            way.Q,
+            difference(after.ins, before.ins)[: before.layout.inertial],
+            coupling.at_rest(float(way.time_s[-1])),
+        )
+
+    def _state(self, coupling: Coupling, leg: Leg | None) -> NavigationState:
         estimate, antenna = coupling.estimate, coupling.antenna()
         H = np.vstack([antenna.H_position, antenna.H_velocity])
         to_e = C_ne(estimate.ins.lat_rad, estimate.ins.lon_rad).T
@@ -156,6 +199,7 @@ class Navigation:
             antenna.r_e_m,
             to_e @ antenna.v_n_mps,
             H @ estimate.P @ H.T,
+            leg,
         )
 
     # --- start and stop ----------------------------------------------------------------------

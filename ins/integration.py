@@ -176,6 +176,8 @@ class Coupling:
         self._Phi: FloatArray
         self._omega_ib_b = np.zeros(3)
         self._refused = 0
+        self.carried: Trajectory  # the way to the last instant …
+        self.expected: Estimate  # … and the estimate there before its corrections
 
     @property
     def estimate(self) -> Estimate:
@@ -261,6 +263,7 @@ class Coupling:
             )
             self._navigator = replace(self._navigator, estimate=estimate)
         self._Phi = block_diag(trajectory.Phi, Phi_extra) @ self._Phi
+        self.carried, self.expected = trajectory, self._navigator.estimate
         if self.settings.keep_trajectories:
             self.trajectories.append(trajectory)
         return trajectory
@@ -330,13 +333,19 @@ class Coupling:
             )
         return found
 
+    def at_rest(self, time_s: float) -> bool:
+        """Quiet sensors up to an instant, and a speed that agrees."""
+        row = int(np.searchsorted(self.block.time_s, time_s - SAME_INSTANT_S))
+        quiet = self.stood is not None and row < self.stood.size and bool(self.stood[row])
+        return quiet and self._slow()
+
     def _stands(self, instant: Instant) -> bool:
         """Quiet sensors, or wheels at rest, and a speed that agrees."""
+        wheels = instant.speed_mps == 0.0 and self._slow()
+        return wheels or (instant.constrained and self.at_rest(instant.time_s))
+
+    def _slow(self) -> bool:
         estimate = self._navigator.estimate
-        row = int(np.searchsorted(self.block.time_s, instant.time_s - SAME_INSTANT_S))
-        quiet = self.stood is not None and row < self.stood.size and bool(self.stood[row])
-        if not ((instant.constrained and quiet) or instant.speed_mps == 0.0):
-            return False
         sigma2 = np.trace(estimate.P[VELOCITY, VELOCITY])
         limit_mps = max(FASTEST_STANDSTILL_MPS, 2.0 * np.sqrt(sigma2))
         return bool(np.linalg.norm(estimate.ins.v_n_mps) < limit_mps)
