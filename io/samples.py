@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,6 +57,26 @@ def byte_table(value_bits: int, packing: Packing) -> Samples:
         shift = shift[::-1]
     table: Samples = level_table(value_bits, packing)[(byte >> shift) & ((1 << value_bits) - 1)]
     return table
+
+
+@lru_cache(maxsize=16)
+def _byte_numbers(
+    value_bits: int, packing: Packing
+) -> tuple[NDArray[np.unsignedinteger[Any]] | None, np.dtype[Any]]:
+    """`byte_table` with the values of each byte side by side in one number, and their type.
+
+    None where no number is long enough.
+    """
+    table = byte_table(value_bits, packing)
+    size = table[0].nbytes
+    return table.view(f"u{size}")[:, 0] if size <= 8 else None, table.dtype
+
+
+@kernel
+def replace_bytes(data: Bytes, table: NDArray[Any], out: NDArray[Any]) -> None:
+    """out[n] = table[data[n]]; shapes (n,), (256,), (n,)."""
+    for n in range(data.size):
+        out[n] = table[data[n]]
 
 
 @kernel
@@ -159,7 +182,12 @@ def unpack_values(data: Bytes, stream: StreamFormat, float_factor: float) -> Sam
     if (shift, width) == (0, 8 * packing.word_bytes):
         if packing.order == "msb_first" and packing.word_bytes > 1:
             data = data.reshape(-1, packing.word_bytes)[:, ::-1].ravel()
-        return byte_table(bits, packing).take(data, axis=0).reshape(-1)
+        numbers, kind = _byte_numbers(bits, packing)
+        if numbers is None:
+            return byte_table(bits, packing).take(data, axis=0).reshape(-1)
+        out = np.empty(data.size, numbers.dtype)
+        replace_bytes(data, numbers, out)
+        return out.view(kind)
     levels = level_table(bits, packing)
     fields = np.empty(data.size // packing.word_bytes * stream.values_per_word, levels.dtype)
     msb_first = packing.order == "msb_first"
