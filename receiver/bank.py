@@ -272,7 +272,9 @@ class Bank:
                 continue
             if smoothing:
                 state = self._hatch.get(prn, HatchState())
-                self._hatch[prn], observation = smooth(state, observation, time, channel.slips)
+                self._hatch[prn], observation = smooth(
+                    state, observation, time, aided=channel.aided
+                )
             tagged.received.append(observation)
         return tagged
 

@@ -276,7 +276,7 @@ class Channel:
         self.history[-1] = self.history[-1]._replace(correction=carrier, middle_s=middle_s)
         before = advance(self._carrier, elapsed_s)
         after = corrected(before, carrier, elapsed_s - middle_s)
-        self._carrier = self._aided(after, aiding(command.sample + whole), elapsed_s)
+        self._carrier = self._aided(after, aiding, whole)
         self.frequency_error_hz += 0.3 * (carrier.frequency - self.frequency_error_hz)
         if self._code_loop.narrow(command.sample):  # a wide loop's noisy rate must not live on
             self._code_offset_hz = 0.0
@@ -292,12 +292,21 @@ class Channel:
         self.periods += seen.periods.shape[0]
         self.command = self._command(command.sample + whole, chips)
 
-    def _aided(self, carrier: NcoState, aid: AidingRate, elapsed_s: float) -> NcoState:
-        """Carrier with what the prediction says has changed since the last command."""
-        was, self._aiding = self._aiding, aid
+    def _aided(self, carrier: NcoState, aiding: AidingSource, samples: int) -> NcoState:
+        """Carrier with what the prediction says has changed since the last command.
+
+        A phase loop knows its frequency better than the navigation: it takes what the prediction
+        of now says of both instants. What a fix has corrected in between is news of the
+        navigation, not a motion.
+        """
+        was, aid = self._aiding, aiding(self.command.sample + samples)
+        self._aiding = aid
         if NO_AIDING in (was, aid):  # it begins or ends: a loop with a rate of its own goes on
             return carrier if self._has_own_rate else carrier._replace(rate=aid.rate_hzps)
-        step_hz = aid.frequency_hz - (was.frequency_hz + elapsed_s * was.rate_hzps)
+        if self.mode is Mode.PHASE:
+            before = aiding(self.command.sample)
+            was = before if self._has_own_rate else before._replace(rate_hzps=was.rate_hzps)
+        step_hz = aid.frequency_hz - (was.frequency_hz + samples / self._rate * was.rate_hzps)
         if self.mode is Mode.HOLD:
             step_hz += aid.clock_hz - was.clock_hz
         return NcoState(
@@ -528,9 +537,14 @@ class Channel:
         return self._seconds_since(self._since)
 
     @property
+    def aided(self) -> bool:
+        """Whether predictions lead the generators."""
+        return self._aiding != NO_AIDING
+
+    @property
     def coasting(self) -> bool:
         """Whether the generators run on by aiding alone."""
-        return self.mode is Mode.HOLD and self._aiding != NO_AIDING
+        return self.mode is Mode.HOLD and self.aided
 
     def coast(self, move: Coast) -> None:
         """Put right a phase carried on in open loop, and the code with it."""
@@ -628,6 +642,15 @@ class Channel:
         """C/N0 of about the last second."""
         return cn0_dbhz(self.locks, self.signal.period_s)
 
+    @property
+    def _coherent_s(self) -> float:
+        """Over which correlations are added up before their power is taken."""
+        if self.mode is Mode.WEAK:
+            return self.windows.coherent_s
+        if self.edge is None:
+            return self.signal.period_s
+        return min(self._full, self.signal.symbol_periods) * self.signal.period_s
+
     def report(self, stage: str) -> ChannelReport:
         """State now, for logs and screen."""
         return ChannelReport(
@@ -641,12 +664,10 @@ class Channel:
             aiding_minus_loop_hz=self._aiding.frequency_hz
             + self._aiding.clock_hz
             - self.command.carrier_hz
-            if self._aiding != NO_AIDING
+            if self.aided
             else 0.0,
             lock_time_s=self._seconds_since(self._phase_since) if self.phase_valid else 0.0,
-            coherent_s=min(self._full, self.signal.symbol_periods) * self.signal.period_s
-            if self.edge is not None
-            else self.signal.period_s,
+            coherent_s=self._coherent_s,
             carrier_bandwidth_hz=self._carrier_bandwidth_hz,
             code_bandwidth_hz=self._code_loop.tracker.bandwidth_hz,
         )

@@ -29,6 +29,7 @@ class Windows:
         self._watch = LockWatch(signal.symbol_s, self.seconds, settings.frequency.bins)
         self._taps: list[ComplexArray] = []
         self.off_hz = 0.0  # by which the frequency is off
+        self.coherent_s = signal.symbol_s  # over which the last one was added up
 
     def restart(self) -> None:
         """Forget what was collected: the generator was moved."""
@@ -67,4 +68,6 @@ class Windows:
         if (power / size - noise) / size < self._lowest * signal.period_s * noise:
             return None
         known = signs(end - taps.shape[0], sums.shape[0])
-        return window_of(sums, signal.symbol_s, known, size * noise)
+        window = window_of(sums, signal.symbol_s, known, size * noise)
+        self.coherent_s = window.seconds if window.coherent else signal.symbol_s
+        return window
