@@ -85,7 +85,7 @@ def process(
             knowledge = knowledge or run.scouted()
             usable = run.whole(knowledge) and usable
     if both:
-        _print_worth({name: one.output.directory for name, one in runs.items()}, config)
+        _print_worth({name: one.output.directory for name, one in runs.items()})
     if not usable:
         raise click.exceptions.Exit(EXIT_NOTHING_USABLE)
 
@@ -105,15 +105,14 @@ def _aided_and_unaided(config: Config) -> dict[str, Config]:
     return runs
 
 
-def _print_worth(folders: Mapping[str, Path], config: Config) -> None:
+def _print_worth(folders: Mapping[str, Path]) -> None:
     from deepgnss.evaluate.worth import worth
 
     table = Table(title="What aiding was worth", title_justify="left")
     table.add_column("")
     for name in folders:
         table.add_column(name, justify="right")
-    judged = config.truth is not None and config.output.report
-    for row in worth(list(folders.values()), judged):
+    for row in worth(list(folders.values())):
         table.add_row(*row)
     Console().print(table)
 

@@ -2,43 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import pandas as pd
+from deepgnss.evaluate.metrics import GROSS_M, metrics
 
-GROSS_M = 3.0
-"""Horizontal error counted as gross, T table 6.10."""
+_ROWS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
+    ("epochs with a fix", "fixed_share", lambda x: f"{100.0 * x:.2f} %"),
+    ("ranges per epoch", "ranges_per_epoch", lambda x: f"{x:.2f}"),
+    ("phases per epoch", "phases_per_epoch", lambda x: f"{x:.2f}"),
+    ("possible slips per minute", "slips_per_minute", lambda x: f"{x:.1f}"),
+    ("satellites lost per minute", "lost_per_minute", lambda x: f"{x:.1f}"),
+    ("horizontal error, RMS", "horizontal_rms_m", lambda x: f"{x:.2f} m"),
+    ("horizontal error, CEP50", "horizontal_p50_m", lambda x: f"{x:.2f} m"),
+    ("horizontal error, CEP95", "horizontal_p95_m", lambda x: f"{x:.2f} m"),
+    (
+        f"horizontal errors above {GROSS_M:g} m",
+        "gross_share",
+        lambda x: f"{100.0 * x:.2f} %",
+    ),
+    ("vertical error, RMS", "vertical_rms_m", lambda x: f"{x:.2f} m"),
+)
 
 
-def worth(folders: Sequence[Path], with_truth: bool) -> list[tuple[str, ...]]:
-    """Rows of a name and a figure per run."""
-    runs = [_figures(Path(folder), with_truth) for folder in folders]
-    return [(name, *(run[name] for run in runs)) for name in runs[0]]
-
-
-def _figures(folder: Path, with_truth: bool) -> dict[str, str]:
-    solution = pd.read_csv(folder / "solution.csv")
-    observed = pd.read_csv(folder / "observations.csv", low_memory=False)
-    events = pd.read_csv(folder / "events.csv")
-    epochs = max(len(solution), 1)
-    phase = observed["carrier_valid"] == 1
-    figures = {
-        "epochs with a fix": f"{100.0 * (solution['valid'] == 1).sum() / epochs:.2f} %",
-        "ranges per epoch": f"{len(observed) / epochs:.2f}",
-        "phases per epoch": f"{phase.sum() / epochs:.2f}",
-        "possible slips": f"{int((phase & (observed['slip'] == 1)).sum())}",
-        "satellites lost": f"{int((events['what'] == 'lost').sum())}",
-    }
-    if with_truth:
-        errors_m = pd.read_csv(folder / "errors.csv")["horizontal_m"].dropna()
-        if len(errors_m):
-            statistics = pd.read_csv(folder / "statistics.csv", index_col="quantity")
-            known = statistics.loc["horizontal_m"]
-            gross = 100.0 * float((errors_m > GROSS_M).mean())
-            figures |= {
-                "horizontal error, RMS": f"{known['rms']:.2f} m",
-                "horizontal error, CEP50 / 95": f"{known['p50']:.2f} / {known['p95']:.2f} m",
-                f"horizontal errors above {GROSS_M:g} m": f"{gross:.2f} %",
-            }
-    return figures
+def worth(folders: Sequence[Path]) -> list[tuple[str, ...]]:
+    """Rows of a name and a figure per run; without truth nothing is said of errors."""
+    runs = [metrics(Path(folder)) for folder in folders]
+    return [
+        (title, *("–" if math.isnan(run[name].value) else told(run[name].value) for run in runs))
+        for title, name, told in _ROWS
+        if not all(math.isnan(run[name].value) for run in runs)
+    ]
