@@ -9,7 +9,7 @@ independent; 1σ here, in cycles and Hz of the carrier, after times since the lo
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -77,50 +77,39 @@ def inertial_growth(
     )
 
 
-def with_path(P: FloatArray, paths: int) -> FloatArray:
-    """Covariance (paths + size) that begins `carry`: no path yet, errors as a filter has them."""
-    size = P.shape[0] + paths
-    whole = np.zeros((size, size))
-    whole[paths:, paths:] = P
-    return whole
+class Step(NamedTuple):
+    """A navigation's errors over a step, and what they do to the antenna along a line of sight."""
+
+    seconds: float
+    Phi: FloatArray  # (size, size)
+    Q: FloatArray  # (size, size)
+    h_begin: (
+        FloatArray  # (size,) cycles by which the antenna is nearer for an error, at its begin …
+    )
+    h_end: FloatArray  # … and at its end
 
 
-def carry(
-    covariance: FloatArray, Phi: FloatArray, Q: FloatArray, H: FloatArray, step_s: float
-) -> FloatArray:
-    """A filter's covariance one step on, with those of the paths its errors have caused.
+def filter_growth(P: FloatArray, steps: Sequence[Step]) -> Growth:
+    """1σ after each of the steps from a filter's covariance P (size, size) when the loop opens.
 
-    A carrier that follows H·x̂ since the loop opened errs by ∫H·x dt, not by H times the error of
-    position: that at the start was in the phase already. The error vector is (paths, x); over a
-    step the paths grow by half the sum of the rates at its ends.
-
-    Parameters: covariance as of `with_path`; Phi, Q (size, size) of the step; H (paths, size): what
-    an error does to each rate (cycles/s for paths in cycles).
+    What counts is how far the antenna went since, not where it is: an error of position at the
+    start was in the phase already. The error carried is therefore (way, x), the way growing by
+    h_end·x − h_begin·x. Frequency is the mean over the step.
     """
-    paths, half_s = H.shape[0], 0.5 * step_s
-    forward = np.eye(covariance.shape[0])
-    forward[paths:, paths:] = Phi
-    forward[:paths, paths:] = half_s * H @ (np.eye(Phi.shape[0]) + Phi)
-    into = np.vstack([half_s * H, np.eye(Phi.shape[0])])
-    return np.asarray(forward @ covariance @ forward.T + into @ Q @ into.T)
-
-
-def filter_growth(
-    P: FloatArray,
-    steps: Iterable[tuple[FloatArray, FloatArray, float]],
-    h: FloatArray,
-) -> Growth:
-    """1σ after each of the steps (Phi, Q, seconds) from a filter's covariance P (size, size).
-
-    h: what an error does to the carrier's frequency, Hz (size,).
-    """
-    H = h[np.newaxis]
-    covariance = with_path(P, 1)
+    size = P.shape[0]
+    covariance = np.zeros((1 + size, 1 + size))
+    covariance[1:, 1:] = P
     phase2, frequency2 = [], []
-    for Phi, Q, step_s in steps:
-        covariance = carry(covariance, Phi, Q, H, step_s)
+    for step in steps:
+        grown = np.concatenate([[0.0], step.h_end @ step.Phi - step.h_begin])
+        frequency2.append(grown @ covariance @ grown + step.h_end @ step.Q @ step.h_end)
+        frequency2[-1] /= step.seconds**2
+        forward = np.zeros_like(covariance)
+        forward[0], forward[1:, 1:] = grown, step.Phi
+        forward[0, 0] = 1.0
+        into = np.vstack([step.h_end, np.eye(size)])
+        covariance = forward @ covariance @ forward.T + into @ step.Q @ into.T
         phase2.append(covariance[0, 0])
-        frequency2.append(h @ covariance[1:, 1:] @ h)
     return Growth("inertial navigation", np.sqrt(phase2), np.sqrt(frequency2))
 
 
@@ -142,14 +131,15 @@ class ClockFit(NamedTuple):
     def times_s(self) -> FloatArray:
         """Of the phases, the last at 0, when the loop opens."""
         count = max(round(self.span_s / self.interval_s), self.order)
-        return np.arange(-count, 1) * self.interval_s
+        return np.asarray(np.arange(-count, 1) * self.interval_s, dtype=np.float64)
 
     def weights(self, ahead_s: float) -> FloatArray:
         """What each phase counts in the fit's phase after a time less that at 0."""
         powers = np.arange(1.0, self.order + 1.0)
         scale_s = self.times_s[0]
         basis = (self.times_s / scale_s)[:, np.newaxis] ** np.arange(self.order + 1)
-        return np.asarray((ahead_s / scale_s) ** powers @ np.linalg.pinv(basis)[1:])
+        rising: FloatArray = np.linalg.pinv(basis)[1:]
+        return np.asarray((ahead_s / scale_s) ** powers @ rising)
 
 
 def phase_kernel(oscillator: Oscillator, carrier_hz: float, lag_s: FloatArray) -> FloatArray:

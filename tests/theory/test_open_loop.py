@@ -11,6 +11,7 @@ from deepgnss.core.records import FloatArray, ImuGrade, Oscillator
 from deepgnss.theory.inertial import error_growth, total
 from deepgnss.theory.open_loop import (
     ClockFit,
+    Step,
     best_fit,
     clock_growth,
     entry_growth,
@@ -132,19 +133,22 @@ def test_path_of_a_filter_is_what_its_errors_add_up_to() -> None:
     Q = np.diag([0.0, 1e-4, 4e-4]) * step_s
     root = np.array([[2.0, 0.0, 0.0], [0.03, 0.05, 0.0], [0.0, -0.01, 0.02]])
     P = root @ root.T
-    h = np.array([0.0, 1.0 / L1_M, 0.0])
-    growth = filter_growth(P, [(Phi, Q, step_s)] * steps, h)
+    h = np.array([1.0 / L1_M, 0.0, 0.0])
+    turned = np.array([1.0 / L1_M, 0.0, 0.3])  # a lever arm that turns in the last step
+    shape = [Step(step_s, Phi, Q, h, h)] * (steps - 1) + [Step(step_s, Phi, Q, h, turned)]
+    growth = filter_growth(P, shape)
     rng = np.random.default_rng(11)
     x = rng.standard_normal((runs, 3)) @ root.T
     path = np.zeros(runs)
-    for _ in range(steps):
+    for step in shape:
         after = x @ Phi.T + rng.standard_normal((runs, 3)) @ np.sqrt(Q)
-        path += 0.5 * step_s * (x @ h + after @ h)
+        grown = after @ step.h_end - x @ step.h_begin
+        path += grown
         x = after
     assert growth.phase_cycles[-1] == pytest.approx(path.std(), rel=0.02)
-    assert growth.frequency_hz[-1] == pytest.approx((x @ h).std(), rel=0.02)
-    still = filter_growth(np.diag([1e4, 0.0, 0.0]), [(Phi, 0.0 * Q, step_s)], h)
-    assert still.phase_cycles[-1] == 0.0
+    assert growth.frequency_hz[-1] == pytest.approx(grown.std() / step_s, rel=0.02)
+    still = filter_growth(np.diag([1e4, 0.0, 0.0]), [Step(step_s, Phi, 0.0 * Q, h, h)])
+    assert still.phase_cycles[-1] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_others_tell_clock_and_way() -> None:
