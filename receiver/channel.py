@@ -112,6 +112,7 @@ class Channel:
         slips: of the satellite in channels before.
         """
         self.signal = signal
+        self.prn = prn
         self.satellite = signal.satellite(prn)
         self.settings = settings
         self.mode = Mode.PULL_IN
@@ -128,7 +129,7 @@ class Channel:
         self._correlator = correlator
         self._runs = code_runs(signal.id.name, prn)
         half = settings.spacing_chips / 2.0
-        self._taps: FloatArray = np.array([half, 0.0, -half])
+        self.taps_chips: FloatArray = np.array([half, 0.0, -half])
         self._rate = sample_rate_hz
         self._sample_chips = signal.id.chip_rate_hz / sample_rate_hz
         self._length = float(signal.id.code_chips)
@@ -175,6 +176,9 @@ class Channel:
         chips = ((start - sample) / sample_rate_hz - wait_s) * chip_rate
         self.command = self._command(start, chips)
         self.history: list[Interval] = [self._interval()]
+        self._taken: ComplexArray  # correlations of the interval under way: …
+        self.filled: int  # … as many of its code periods are in, …
+        self._planned: int  # … of so many
         self._plan()
 
     # --- the step ----------------------------------------------------------------------------
@@ -189,16 +193,45 @@ class Channel:
     def run(self, sums: RunningSums, aiding: AidingSource = unaided) -> None:
         """Track as far as the running sums go."""
         while self.mode is not Mode.LOST:
-            if not self._correlate(sums):
+            count = self.due(sums.end)
+            if count > 0:
+                self.take(
+                    self._correlator(
+                        sums, self.command, self._runs, self.taps_chips, count, self.filled
+                    )
+                )
+            if not self.complete:
                 return
-            middle_s, end_s = self._times(self._taken.shape[0])
-            seen = self._accumulate()
-            self._steer(seen, middle_s, end_s, aiding)
-            self._detect(seen)
-            self._collect_symbols(seen)
-            self._decide(seen)
-            self.history.append(self._interval())
-            self._plan()
+            self.conclude(aiding)
+
+    def due(self, end: int) -> int:
+        """Code periods of the interval under way that are there before a sample but not taken."""
+        command = self.command
+        there_s = (end - self._margin - command.sample) / self._rate
+        chips = command.code_chips + there_s * (command.code_hz + 0.5 * there_s * command.code_hzps)
+        return min(int(chips // self._length), self._planned) - self.filled
+
+    def take(self, correlations: ComplexArray) -> None:
+        """Take the next code periods of the interval under way, (periods, taps)."""
+        filled = self.filled + correlations.shape[0]
+        self._taken[self.filled : filled] = correlations
+        self.filled = filled
+
+    @property
+    def complete(self) -> bool:
+        """Whether the interval under way is over."""
+        return self.filled == self._planned
+
+    def conclude(self, aiding: AidingSource) -> None:
+        """Command, detect and decide by a complete interval; the next one begins."""
+        middle_s, end_s = self._times(self._taken.shape[0])
+        seen = self._accumulate()
+        self._steer(seen, middle_s, end_s, aiding)
+        self._detect(seen)
+        self._collect_symbols(seen)
+        self._decide(seen)
+        self.history.append(self._interval())
+        self._plan()
 
     def _plan(self) -> None:
         """Length of the next interval in code periods, and whether its signs are known."""
@@ -207,21 +240,9 @@ class Channel:
             to_edge = (self.edge - self.periods) % self.signal.symbol_periods
             periods = to_edge % self._full or self._full
         self._coherent = self.edge is not None
-        self._taken = np.empty((periods, self._taps.size), dtype=np.complex128)
-        self._filled = 0
-
-    def _correlate(self, sums: RunningSums) -> bool:
-        """Correlate the code periods at hand; True once the interval is complete."""
-        command = self.command
-        there_s = (sums.end - self._margin - command.sample) / self._rate
-        chips = command.code_chips + there_s * (command.code_hz + 0.5 * there_s * command.code_hzps)
-        ready = min(int(chips // self._length), self._taken.shape[0])
-        if ready > self._filled:
-            self._taken[self._filled : ready] = self._correlator(
-                sums, command, self._runs, self._taps, ready - self._filled, self._filled
-            )
-            self._filled = ready
-        return ready == self._taken.shape[0]
+        self._planned = periods
+        self._taken = np.empty((periods, self.taps_chips.size), dtype=np.complex128)
+        self.filled = 0
 
     def _times(self, periods: int) -> tuple[float, float]:
         """Middle and end of the next interval, s after the command's sample."""
@@ -415,7 +436,7 @@ class Channel:
         """Make known that a symbol starts at a code period of this channel's count."""
         self.edge = period % self.signal.symbol_periods
         self._note("bit sync", reason)
-        if self._filled == 0:
+        if self.filled == 0:
             self._plan()
 
     def _look_back(self, edge: int) -> None:
@@ -586,7 +607,7 @@ class Channel:
 
         self._carrier = self._carrier._replace(phase=self._carrier.phase + cycles)
         self.command = moved(self.command)
-        self._taken[: self._filled] *= np.exp(-2j * np.pi * math.fmod(cycles, 1.0))
+        self._taken[: self.filled] *= np.exp(-2j * np.pi * math.fmod(cycles, 1.0))
         self.history = [
             i
             if since is not None and i.command.sample < since

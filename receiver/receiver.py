@@ -25,7 +25,6 @@ from deepgnss.core.records import (
     NavData,
     NavSolution,
     Observation,
-    RunningSums,
 )
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import framing, pvt
@@ -37,7 +36,8 @@ from deepgnss.receiver.clock import NS, ReceiverClock, from_ns
 from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.known_symbols import KnownSymbols
 from deepgnss.receiver.messages import Frame, News, Subframe
-from deepgnss.receiver.modes import AidingSource, Coast, Mode, TrackingSettings, unaided
+from deepgnss.receiver.modes import AidingSource, Coast, Mode, TrackingSettings
+from deepgnss.receiver.rack import run_together
 from deepgnss.receiver.search import Place, SearchSettings
 from deepgnss.receiver.signals import Signal
 
@@ -228,24 +228,20 @@ class Receiver:
     def _track(
         self, feeds: Mapping[str, SumFeed], end: int, aiding: Mapping[str, AidingSource]
     ) -> None:
-        """Run all channels to the end, block by block: its sums are still in the cache."""
-
-        def run(share: list[Channel], sums: RunningSums) -> None:
-            for channel in share:
-                channel.run(sums, aiding.get(channel.satellite, unaided))
-
+        """Run all channels to the end: streams at the same time, their workers share channels."""
         for channel in self.channels:
             channel.begin_epoch()
-        for name, feed in feeds.items():
-            banks = [bank for bank in self.banks if bank.signal.id.name == name]
-            channels = [channel for bank in banks for channel in bank.tracked()]
-            shares = [channels[k :: self._workers] for k in range(self._workers)]
-            for sums in feed.advance(self.sample_in(banks[0].rate_hz, end)):
-                if self._executor is None:
-                    run(channels, sums)
-                else:
-                    for task in [self._executor.submit(run, share, sums) for share in shares]:
-                        task.result()
+        names, executor = list(feeds), self._executor
+        workers = max(1, self._workers // len(names)) if executor is not None else 1
+
+        def through(name: str) -> None:
+            self._run_stream(name, feeds[name], end, aiding, workers)
+
+        if executor is None or len(names) == 1:
+            for name in names:
+                through(name)
+        else:
+            list(executor.map(through, names))
         for bank in self.banks:
             self._log(bank.events(), bank)
         for channel in self.channels:
@@ -253,6 +249,25 @@ class Receiver:
                 self.accounts.advance(channel.satellite, "pulled in")
             if channel.edge is not None:
                 self.accounts.advance(channel.satellite, "bit sync")
+
+    def _run_stream(
+        self,
+        name: str,
+        feed: SumFeed,
+        end: int,
+        aiding: Mapping[str, AidingSource],
+        workers: int,
+    ) -> None:
+        """Run the channels of a signal's name, block by block: its sums are still in the cache."""
+        banks = [bank for bank in self.banks if bank.signal.id.name == name]
+        channels = [channel for bank in banks for channel in bank.tracked()]
+        executor = self._executor
+        own, *others = [channels[k::workers] for k in range(workers)]
+        for sums in feed.advance(self.sample_in(banks[0].rate_hz, end)):
+            tasks = [executor.submit(run_together, o, sums, aiding) for o in others if executor]
+            run_together(own, sums, aiding)
+            for task in tasks:
+                task.result()
 
     def _retire(self) -> None:
         for bank in self.banks:
