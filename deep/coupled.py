@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.frames import C_ne
 from deepgnss.core.records import Event, FloatArray
-from deepgnss.core.time import GpsTime
 from deepgnss.deep.aiding import AHEAD_S, Aider, Listener, Profile
+from deepgnss.deep.bridging import Bridge, Bridged, Loop, Tag
 from deepgnss.deep.inertial import (
     alignment_settings,
     coupling_settings,
@@ -24,14 +28,13 @@ from deepgnss.deep.navigation import InertialInputs, Navigation, NavigationState
 from deepgnss.deep.setup import RunPlan
 from deepgnss.ins import WheelSpeeds
 from deepgnss.ins.increments import joined
+from deepgnss.ins.integration import SAME_EPOCH_S
 from deepgnss.ins.sanity import findings
 from deepgnss.ins.updates import Innovation
 from deepgnss.io.config import Config
 from deepgnss.io.imu import ImuLog, read_odometer
-from deepgnss.receiver.clock import ReceiverClock, to_ns
-from deepgnss.receiver.receiver import Receiver, StepResult
-
-_DRIFT_REMEMBERED_S = 3.0  # of clock drift, taken when no solution tells it
+from deepgnss.receiver.clock import NS, ReceiverClock, to_ns
+from deepgnss.receiver.receiver import Fix, Receiver, StepResult
 
 
 class Aids(NamedTuple):
@@ -52,37 +55,27 @@ class Navigated(NamedTuple):
     innovations: tuple[Innovation, ...] = ()
 
 
-@dataclass(slots=True)
-class ClockMemory:
-    """Mean clock drift of the last seconds, for the time in which nothing shows it."""
-
-    time: GpsTime | None = None
-    drift_sps: float = math.nan
-
-    def take(self, time: GpsTime, drift_sps: float) -> None:
-        """Take the drift of a solution in."""
-        if not math.isfinite(drift_sps):
-            return
-        passed_s = time.since(self.time) if self.time is not None else math.inf
-        share = -math.expm1(-passed_s / _DRIFT_REMEMBERED_S)
-        before = self.drift_sps if math.isfinite(self.drift_sps) else drift_sps
-        self.time, self.drift_sps = time, before + share * (drift_sps - before)
-
-
 class CoupledNavigation:
     """Joins a receiver and an inertial navigation, an epoch at a time."""
 
-    def __init__(self, navigation: Navigation, aider: Aider, notes: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, navigation: Navigation, aider: Aider, bridge: Bridge, notes: tuple[str, ...] = ()
+    ) -> None:
         """`notes`: what is odd about the inertial log."""
         self.navigation = navigation
         self.notes = notes
         self._aider = aider
-        self._clock = ClockMemory()
+        self._bridge = bridge
+        self._model_drift_sps = 0.0  # of the receiver's clock model in the last step
+        self._drift_sps = 0.0  # of its oscillator, as the last solution had it
 
     def before(self, receiver: Receiver, first: int, end: int) -> Aids:
         """Aiding for samples [first, end) of the receiver's first stream."""
         clock = receiver.clock
-        if clock is None or not self.navigation.running:
+        if clock is None:
+            return NO_AIDS
+        self._model_drift_sps = clock.drift_sps
+        if not self.navigation.running:
             return NO_AIDS
         # The last command of the epoch goes beyond it: an update of increments must be waited for.
         span = (clock.time(first), clock.time(end).plus(AHEAD_S))
@@ -94,26 +87,61 @@ class CoupledNavigation:
             for bank in receiver.banks
             for channel in bank.tracked()
         ]
-        drift_sps = self._clock.drift_sps if math.isfinite(self._clock.drift_sps) else 0.0
+        known_sps = self._bridge.drift_sps
+        drift_sps = self._drift_sps if known_sps is None else known_sps
         profiles = self._aider.profiles(trajectory, span, listeners, receiver.nav, clock, drift_sps)
         antenna = trajectory.antenna(trajectory.time_s[-1:], self._aider.lever_b_m)
         return Aids(profiles, (antenna.r_e_m[0], antenna.v_e_mps[0]))
 
     def after(self, receiver: Receiver, result: StepResult) -> Navigated:
         """Take an epoch's fixes; the navigation at their tags, and what it has to tell."""
-        if receiver.clock is not None:
-            for fix in result.fixes:
-                if fix.solution.valid:
-                    drift_sps = receiver.clock.drift_sps + fix.solution.drift_sps
-                    self._clock.take(fix.epoch.time, drift_sps)
-        states = self.navigation.take(result.fixes)
+        states: list[NavigationState] = []
+        events: list[Event] = []
+        for fix in result.fixes:
+            found = self.navigation.take([fix])
+            states += found
+            bridged = self._bridged(receiver, fix, found[0] if found else None)
+            for slip in bridged.slips:
+                missing = None if slip.cycles is None else -slip.cycles
+                receiver.mend(slip.satellite, missing, slip.reason)
+            if bridged.clock_jump_m is not None:
+                jump_ns = bridged.clock_jump_m / SPEED_OF_LIGHT_MPS * NS
+                detail = f"all phases moved together by {jump_ns:+.2f} ns"
+                events.append(Event(fix.epoch.instant.sample, "RX", "clock jump", detail))
+            if fix is result.fixes[-1]:  # the generators stand as its tag saw them
+                receiver.coast(bridged.moves)
         told, innovations = self.navigation.news()
-        events = []
         for event in told:
             time = self.navigation.instant(event.time_s)
             sample = clock.instant(to_ns(time)).sample if (clock := receiver.clock) else result.end
             events.append(Event(sample, "INS", event.what, event.reason))
         return Navigated(tuple(states), tuple(events), tuple(innovations))
+
+    def _bridged(self, receiver: Receiver, fix: Fix, state: NavigationState | None) -> Bridged:
+        """Hold a tag's phases against the way that led to it."""
+        solution, clock = fix.solution, receiver.clock
+        drift, drift_sigma = math.nan, math.nan
+        if solution.valid and math.isfinite(solution.drift_sps):
+            self._drift_sps = drift = self._model_drift_sps + solution.drift_sps
+            drift_sigma = float(np.sqrt(solution.velocity_covariance_m2ps2[3, 3]))
+            drift_sigma /= SPEED_OF_LIGHT_MPS
+        if state is None or clock is None:
+            return self._bridge.stop(fix.coasting)
+        if state.leg is None:
+            return Bridged()
+        leg, estimate = state.leg, state.estimate
+        there = abs(fix.epoch.time.since(leg.origin) - leg.end_s) < SAME_EPOCH_S
+        inertial = slice(0, estimate.layout.inertial)
+        tag = Tag(
+            fix.epoch.observations if there else (),
+            fix.coasting if there else (),
+            -clock.lag_s(to_ns(fix.epoch.time), fix.epoch.instant),
+            (drift, drift_sigma),
+            leg,
+            estimate.P[inertial, inertial],
+            C_ne(estimate.ins.lat_rad, estimate.ins.lon_rad),
+        )
+        return self._bridge.take(tag, self._aider.skyline)
 
 
 def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNavigation:
@@ -144,4 +172,7 @@ def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNaviga
     )
     notes = (*log.faults, *(f"{log.path}: {line}" for line in found), *faults)
     aider = Aider(plan.settings.pvt, settings.lever_b_m)
-    return CoupledNavigation(Navigation(inputs), aider, notes)
+    tracking = plan.settings.tracking
+    loop = Loop(tracking.carrier_bandwidth_hz, tracking.coherent_s)
+    bridge = Bridge(config.oscillator.oscillator(), loop)
+    return CoupledNavigation(Navigation(inputs), aider, bridge, notes)

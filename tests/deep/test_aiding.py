@@ -17,7 +17,6 @@ from deepgnss.deep.aiding import (
     range_rates,
     sights_over,
 )
-from deepgnss.deep.coupled import ClockMemory
 from deepgnss.receiver import orbits
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.weights import delays
@@ -115,17 +114,3 @@ def test_doppler_is_positive_when_range_shrinks() -> None:
     sights = sights_over(ephemerides, still)
     gained_hz = -(range_rates(sights, nearer) - range_rates(sights, still)) / wavelength_m
     np.testing.assert_allclose(gained_hz, 1.0, atol=1e-4)
-
-
-def test_clock_memory_is_a_mean_that_forgets_and_ignores_gaps() -> None:
-    memory = ClockMemory()
-    memory.take(START, float("nan"))
-    assert not np.isfinite(memory.drift_sps)
-    memory.take(START, 1.0e-7)
-    assert memory.drift_sps == 1.0e-7
-    for k in range(1, 100):
-        memory.take(START.plus(0.1 * k), 2.0e-7)
-    assert memory.drift_sps == pytest.approx(2.0e-7, rel=0.03)
-    before = memory.drift_sps
-    memory.take(START.plus(20.0), float("nan"))
-    assert memory.drift_sps == before

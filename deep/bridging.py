@@ -1,0 +1,393 @@
+"""What carries phase, clock and trust from tag to tag: carrier phases against the navigation.
+
+Every phase whose arc goes on is held against the range change the inertial navigation predicts,
+all in one filter (`phase_filter`). It finds cycle slips, knows the receiver's clock, and says what
+the phase of a channel in open loop is by now and how well that is known. Nothing of it reaches a
+channel whose signal is there, except that a slip of its own is told to it.
+
+Signs: phases grow with range; a slip of n cycles is n too much in the phase.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.errors import NumericalError
+from deepgnss.core.records import SIGNAL_IDS, FloatArray, Observation, Oscillator
+from deepgnss.deep.aiding import Skyline
+from deepgnss.deep.navigation import Leg
+from deepgnss.deep.phase_filter import PhaseFilter, common_jump, sound
+from deepgnss.ins.error_model import VELOCITY
+from deepgnss.ins.increments import SAME_INSTANT_S
+from deepgnss.receiver.modes import Coast
+from deepgnss.theory.tracking_error import pll_thermal_sigma_cycles
+
+_LIMIT: Final = 4.0  # σ from which a phase is left out, …
+_WINDOW_S: Final = 0.45  # … time for which it is looked at before it is judged, …
+_LATEST_S: Final = 1.5  # … and after which it is, settled or not
+_LAST: Final = 3  # tags that judge
+_SETTLED_CYCLES: Final = 0.1  # by which they differ once a loop has slipped
+_CERTAIN: Final = 4.0  # σ that fit between what is left of a slip and a quarter of a cycle
+_JUMP: Final = 5.0  # σ from which what most have in common is a jump
+_FLOOR_CYCLES: Final = 0.008  # of a tracked phase: reflections, the loop's own errors
+_WALK_MPRTS: Final = 3e-4  # of an arc's constant: satellite clocks
+_ATMOSPHERE: Final = (1e-4, 0.3)  # m/s, share of the modelled rate: 1σ of what is not modelled
+_REST_M: Final = 1e-3  # by which an antenna at rest moves
+_MANOEUVRE_S: Final = 1.0  # for which a force on the oscillator lasts
+_STALE_S: Final = 2.0  # for an arc not heard of, and for a skyline
+_WORSE: Final = 4.0  # variance of velocity against the navigation's own: that knows better
+_DRIFT_SIGMA_MPS: Final = 1.0  # at the start, where Doppler tells the drift …
+_UNKNOWN_DRIFT_MPS: Final = 1e3  # … and where not
+_PHASES_ENOUGH: Final = 4  # with fewer, the drift by Doppler counts
+_GRAVITY_MPS2: Final = 9.81
+
+_Name = tuple[str, int]  # satellite and number of the arc
+# An antenna at rest is like three phases along the axes that do not change.
+_REST: Final[tuple[_Name, ...]] = (("north", -1), ("east", -1), ("down", -1))
+_LOST: Final = Coast(0.0, math.inf)
+
+
+class Loop(NamedTuple):
+    """What the noise of a tracked phase follows from."""
+
+    bandwidth_hz: float
+    coherent_s: float
+
+    def sigma_cycles(self, cn0_dbhz: float, interval_s: float) -> float:
+        """1σ of phases an interval apart, as if they were independent of each other."""
+        thermal = pll_thermal_sigma_cycles(cn0_dbhz, self.bandwidth_hz, self.coherent_s)
+        alike = max(1.0, 0.5 / (self.bandwidth_hz * interval_s))
+        return math.hypot(thermal, _FLOOR_CYCLES) * math.sqrt(alike)
+
+
+class Tag(NamedTuple):
+    """What there is at a tag, and the leg that led to it."""
+
+    observations: Sequence[Observation]
+    coasting: Sequence[Observation]
+    model_s: float  # error of the counter by the clock model at the tag
+    drift: tuple[float, float]  # of the receiver's clock by Doppler and its 1σ, s/s; NaN: unknown
+    leg: Leg
+    P: FloatArray  # of the navigation's inertial errors after the tag's correction
+    C_ne: FloatArray  # (3, 3)
+
+
+class Slip(NamedTuple):
+    """A satellite whose phase does not go on as before."""
+
+    satellite: str
+    cycles: float | None  # too much in the phase; None: nobody knows
+    reason: str
+
+
+class Bridged(NamedTuple):
+    """What a tag gave."""
+
+    moves: Mapping[str, Coast] = {}
+    slips: tuple[Slip, ...] = ()
+    clock_jump_m: float | None = None
+
+
+@dataclass(slots=True)
+class _Arc:
+    """A phase being followed, in metres once its clock and its unit are taken off."""
+
+    name: _Name
+    wavelength_m: float
+    believed_s: float  # last tag at which it agreed with all others
+    heard_s: float  # last tag at which there was one
+    range_m: float = 0.0  # predicted since it began
+    doubted_s: float = math.nan  # since when it does not agree …
+    off_cycles: list[float] = field(default_factory=list)  # … and by how much, tag by tag
+
+    def trust(self, now_s: float) -> None:
+        """It agrees (again)."""
+        self.believed_s, self.doubted_s, self.off_cycles = now_s, math.nan, []
+
+
+class _Seen(NamedTuple):
+    """A phase of a tag."""
+
+    phase_m: float
+    sigma_m: float
+    wavelength_m: float
+
+
+class _Sights(NamedTuple):
+    """Where arcs come from."""
+
+    rate_mps: FloatArray  # (k,) of the range to a resting antenna
+    toward_n: FloatArray  # (k, 3)
+    clocked: FloatArray  # (k,) 1: the receiver's clock is in it
+    unmodelled_mps: FloatArray  # (k,) 1σ of the rate
+
+
+class Bridge:
+    """Follows the phases of all satellites from tag to tag while the navigation runs."""
+
+    def __init__(self, oscillator: Oscillator, loop: Loop) -> None:
+        self._oscillator = oscillator
+        self._loop = loop
+        self._filter: PhaseFilter | None = None
+        self._arcs: list[_Arc] = []  # in the filter's order
+        self._model_m = 0.0  # error of the counter by the clock model
+        self._now_s = math.nan
+
+    @property
+    def drift_sps(self) -> float | None:
+        """Frequency error of the receiver's oscillator, None while nobody knows."""
+        return None if self._filter is None else self._filter.drift_mps / SPEED_OF_LIGHT_MPS
+
+    def stop(self, coasting: Iterable[Observation] = ()) -> Bridged:
+        """There is no navigation: nothing is carried on."""
+        self._filter, self._arcs = None, []
+        return Bridged({one.satellite: _LOST for one in coasting if one.carrier_valid})
+
+    def take(self, tag: Tag, skyline: Skyline) -> Bridged:
+        """Go on to a tag: what it says of slips, and how channels in open loop are to be moved."""
+        try:
+            return self._take(tag, skyline)
+        except NumericalError:
+            return self.stop(tag.coasting)
+
+    def _take(self, tag: Tag, skyline: Skyline) -> Bridged:
+        leg = tag.leg
+        if self._filter is None or abs(leg.begin_s - self._now_s) > SAME_INSTANT_S:
+            self._filter, self._arcs = self._started(tag), []
+        else:
+            self._carry(self._filter, tag, skyline)
+        self._now_s, self._model_m = leg.end_s, SPEED_OF_LIGHT_MPS * tag.model_s
+        known, seen = self._filter, self._seen(tag)
+        jump_m, slips = self._believe(known, tag, seen, skyline)
+        self._begin(known, tag, seen, skyline)
+        known.shift(leg.correction)
+        if known.velocity_variance_m2ps2 > _WORSE * np.trace(tag.P[VELOCITY, VELOCITY]):
+            known.restart_errors(tag.P)
+        sights = self._sights(skyline, leg.end_s, tag.C_ne)
+        known.rest_way(sights.toward_n)
+        return Bridged(self._moves(known, tag.coasting, sights), slips, jump_m)
+
+    # --- from the tag before to this one -------------------------------------------------------
+
+    def _started(self, tag: Tag) -> PhaseFilter:
+        drift_sps, _ = tag.drift
+        known = math.isfinite(drift_sps)
+        return PhaseFilter(
+            tag.P,
+            self._oscillator,
+            drift_sps * SPEED_OF_LIGHT_MPS if known else 0.0,
+            _DRIFT_SIGMA_MPS if known else _UNKNOWN_DRIFT_MPS,
+        )
+
+    def _carry(self, known: PhaseFilter, tag: Tag, skyline: Skyline) -> None:
+        """Predicted ranges and the filter over a leg; arcs nobody can predict end."""
+        leg = tag.leg
+        seconds = leg.end_s - leg.begin_s
+        fresh = abs(leg.end_s - float(skyline.sights.time_s[1])) < _STALE_S
+        self._keep(
+            known,
+            [arc.name in _REST or (fresh and arc.name[0] in skyline.row) for arc in self._arcs],
+        )
+        sights = self._sights(skyline, 0.5 * (leg.begin_s + leg.end_s), tag.C_ne)
+        longer_m = seconds * sights.rate_mps - sights.toward_n @ (tag.C_ne @ leg.moved_e_m)
+        for arc, one_m in zip(self._arcs, longer_m, strict=True):
+            arc.range_m += float(one_m)
+        force_g = float(np.linalg.norm(leg.gained_e_mps)) / seconds / _GRAVITY_MPS2
+        shaken_mps = SPEED_OF_LIGHT_MPS * self._oscillator.g_sensitivity * force_g
+        known.carry(
+            leg.H_begin,
+            leg.H_end,
+            leg.Phi,
+            leg.Q,
+            seconds,
+            clock_shaken_m2=shaken_mps**2 * 2.0 * _MANOEUVRE_S * seconds,
+            arcs_walk_m2=_WALK_MPRTS**2 * seconds,
+        )
+
+    def _sights(self, skyline: Skyline, time_s: float, C_ne: FloatArray) -> _Sights:
+        """Where the arcs come from at an instant; axes of rest stay themselves."""
+        rates, toward_e = skyline.sights.at(time_s)
+        names = [arc.name for arc in self._arcs]
+        rows = np.array([skyline.row.get(satellite, -1) for satellite, _ in names], dtype=np.int64)
+        sky, count = rows >= 0, len(names)
+        rows = rows[sky]
+        sights = _Sights(
+            np.zeros(count), np.zeros((count, 3)), sky.astype(np.float64), np.zeros(count)
+        )
+        sights.rate_mps[sky] = rates[0, rows]
+        sights.toward_n[sky] = toward_e[0, rows] @ C_ne.T
+        floor_mps, share = _ATMOSPHERE
+        sights.unmodelled_mps[sky] = np.hypot(floor_mps, share * skyline.delay_rate_mps[rows])
+        for axis, name in enumerate(_REST):
+            if name in names:
+                sights.toward_n[names.index(name), axis] = 1.0
+        return sights
+
+    def _keep(self, known: PhaseFilter, kept: Sequence[bool]) -> None:
+        if not all(kept):
+            known.keep(np.array(kept, dtype=np.bool_))
+            self._arcs = [arc for arc, stays in zip(self._arcs, kept, strict=True) if stays]
+
+    # --- phases of a tag -----------------------------------------------------------------------
+
+    def _seen(self, tag: Tag) -> dict[_Name, _Seen]:
+        """Phases in metres, freed of the clock model."""
+        seconds, found = tag.leg.end_s - tag.leg.begin_s, {}
+        for one in tag.observations:
+            if one.carrier_valid:
+                wavelength_m = SPEED_OF_LIGHT_MPS / SIGNAL_IDS[one.signal].carrier_hz
+                found[one.satellite, one.arc] = _Seen(
+                    one.carrier_cycles * wavelength_m + self._model_m,
+                    self._loop.sigma_cycles(one.cn0_dbhz, seconds) * wavelength_m,
+                    wavelength_m,
+                )
+        if tag.leg.at_rest:
+            found |= dict.fromkeys(_REST, _Seen(0.0, _REST_M, 1.0))
+        return found
+
+    def _believe(
+        self, known: PhaseFilter, tag: Tag, seen: Mapping[_Name, _Seen], skyline: Skyline
+    ) -> tuple[float | None, tuple[Slip, ...]]:
+        """Take in the phases that agree with the prediction and with each other; judge the rest."""
+        now_s = tag.leg.end_s
+        rows = [k for k, arc in enumerate(self._arcs) if arc.name in seen]
+        sights = self._sights(skyline, now_s, tag.C_ne)
+        H = known.rows(sights.toward_n, sights.clocked)[rows]
+        arcs = [self._arcs[k] for k in rows]
+        y_m = np.array([seen[arc.name].phase_m - arc.range_m for arc in arcs])
+        silent_s = np.array([now_s - arc.believed_s for arc in arcs])
+        variance_m2 = np.array([seen[arc.name].sigma_m ** 2 for arc in arcs])
+        variance_m2 += (sights.unmodelled_mps[rows] * silent_s) ** 2
+        jump_m = self._jump(known, H, y_m, variance_m2)
+        kept = sound(*known.innovation(H, y_m, variance_m2), _LIMIT)
+        known.update(H[kept], y_m[kept], variance_m2[kept])
+        if np.sum(sights.clocked[rows] * kept) < _PHASES_ENOUGH and math.isfinite(tag.drift[0]):
+            known.take_drift(*(SPEED_OF_LIGHT_MPS * value for value in tag.drift))
+        off_m, covariance = known.innovation(H, y_m, variance_m2)
+        slips = []
+        for k, arc in enumerate(arcs):
+            arc.heard_s = now_s
+            if kept[k]:
+                arc.trust(now_s)
+                continue
+            verdict = _verdict(arc, now_s, float(off_m[k]), math.sqrt(covariance[k, k]))
+            if verdict is None:
+                continue
+            arc.trust(now_s)
+            slip = verdict.slip
+            if slip is None or slip.cycles is None:
+                known.open_arc(rows[k], float(off_m[k]) ** 2)
+            if slip is not None:
+                slips.append(slip)
+        return jump_m, tuple(slips)
+
+    def _jump(
+        self, known: PhaseFilter, H: FloatArray, y_m: FloatArray, variance_m2: FloatArray
+    ) -> float | None:
+        """A step of the clock that most phases show is none of theirs."""
+        jump_m = common_jump(*known.innovation(H, y_m, variance_m2), _JUMP)
+        if jump_m is not None:
+            known.open_clock(jump_m)
+        return jump_m
+
+    def _begin(
+        self, known: PhaseFilter, tag: Tag, seen: Mapping[_Name, _Seen], skyline: Skyline
+    ) -> None:
+        """New arcs begin at the tag; those nobody hears of any more have ended."""
+        now_s = tag.leg.end_s
+        told = {(one.satellite, one.arc) for one in tag.coasting if one.carrier_valid} | seen.keys()
+        others = {satellite for satellite, _ in told}
+        for arc in self._arcs:
+            if arc.name in told:
+                arc.heard_s = now_s
+        self._keep(
+            known,
+            [
+                arc.name in told
+                or (
+                    arc.name not in _REST
+                    and arc.name[0] not in others
+                    and now_s - arc.heard_s < _STALE_S
+                )
+                for arc in self._arcs
+            ],
+        )
+        there = {arc.name for arc in self._arcs}
+        fresh = [
+            name for name in seen if name not in there and (name in _REST or name[0] in skyline.row)
+        ]
+        if not fresh:
+            return
+        first = len(self._arcs)
+        self._arcs += [_Arc(name, seen[name].wavelength_m, now_s, now_s) for name in fresh]
+        sights = self._sights(skyline, now_s, tag.C_ne)
+        known.begin(
+            np.array([seen[name].phase_m for name in fresh]),
+            np.array([seen[name].sigma_m ** 2 for name in fresh]),
+            sights.toward_n[first:],
+            sights.clocked[first:],
+        )
+
+    # --- open loop -----------------------------------------------------------------------------
+
+    def _moves(
+        self, known: PhaseFilter, coasting: Sequence[Observation], sights: _Sights
+    ) -> dict[str, Coast]:
+        """By how much the phases carried on are off, and how well that is known."""
+        asked = [one for one in coasting if one.carrier_valid]
+        if not asked:
+            return {}
+        H = known.rows(sights.toward_n, sights.clocked)
+        y_m = H @ known.mean
+        variance_m2 = np.einsum("ki,ij,kj->k", H, known.P, H)
+        place = {arc.name: k for k, arc in enumerate(self._arcs)}
+        moves = {}
+        for one in asked:
+            k = place.get((one.satellite, one.arc))
+            if k is None:
+                moves[one.satellite] = _LOST
+                continue
+            arc = self._arcs[k]
+            phase_m = y_m[k] + arc.range_m - self._model_m
+            sigma_m = math.hypot(
+                math.sqrt(variance_m2[k]),
+                sights.unmodelled_mps[k] * (self._now_s - arc.believed_s),
+            )
+            moves[one.satellite] = Coast(
+                float(phase_m / arc.wavelength_m - one.carrier_cycles), sigma_m / arc.wavelength_m
+            )
+        return moves
+
+
+class _Verdict(NamedTuple):
+    """What a phase that was left out for a while turned out to be; no slip: it only drifted."""
+
+    slip: Slip | None
+
+
+def _verdict(arc: _Arc, now_s: float, off_m: float, sigma_m: float) -> _Verdict | None:
+    """Judge a phase that does not agree once its loop has settled; None: not yet."""
+    if arc.name in _REST:
+        return _Verdict(None)
+    if math.isnan(arc.doubted_s):
+        arc.doubted_s = now_s
+    arc.off_cycles = [*arc.off_cycles[1 - _LAST :], off_m / arc.wavelength_m]
+    waited_s = now_s - arc.doubted_s
+    if waited_s < _WINDOW_S:
+        return None
+    off, sigma = float(np.mean(arc.off_cycles)), sigma_m / arc.wavelength_m
+    settled = max(arc.off_cycles) - min(arc.off_cycles) < _SETTLED_CYCLES
+    if not settled and waited_s < _LATEST_S:
+        return None
+    slipped = round(2.0 * off) / 2.0
+    left = off - slipped
+    told = f"{off:+.2f} cycles off for {waited_s:.1f} s, sigma {sigma:.2f}"
+    if settled and abs(left) + _CERTAIN * sigma < 0.25:
+        return _Verdict(Slip(arc.name[0], slipped, told) if slipped else None)
+    return _Verdict(Slip(arc.name[0], None, told) if abs(off) > 0.25 else None)

@@ -1,0 +1,227 @@
+"""Kalman filter of what carrier phases say against the inertial navigation's prediction.
+
+The phase of a satellite, in metres and less the range predicted since its arc began, is
+
+    y = b + c + u·d + noise
+
+with b the arc's constant, c the receiver's clock, u the direction to the satellite and d the error
+of the antenna's way by the inertial navigation (its position corrections left out). The state is
+(d, x, clock, b…): x are the navigation's errors without position, which make d grow; the clock is
+an oscillator of given power law. A phase that is missing stays predicted, with its covariance:
+differences over any stretch are as good as the phases at its ends, whoever else was there.
+
+Errors are estimate − truth; clock and phases grow with range.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.records import FloatArray, Oscillator
+from deepgnss.ins.error_model import POSITION
+from deepgnss.ins.filter import correct
+
+# Time constants of Gauss–Markov frequencies that add up to flicker, each h₋₁·ln(ratio).
+_FLICKER_S: Final = np.array([0.3, 3.0, 30.0])
+_FLICKER_RATIO: Final = 10.0
+_WAY: Final = slice(0, 3)
+_FROM: Final = POSITION.stop  # what of the inertial errors is carried here
+
+Chosen = NDArray[np.bool_]
+
+
+class PhaseFilter:
+    """State and covariance; the arcs stand in the order in which they were begun."""
+
+    def __init__(
+        self, P: FloatArray, oscillator: Oscillator, drift_mps: float, drift_sigma_mps: float
+    ) -> None:
+        """P (n, n): of the inertial errors; drift times c of the receiver's clock."""
+        inertial = int(P.shape[0]) - _FROM
+        self._oscillator = oscillator
+        self._errors = slice(_WAY.stop, _WAY.stop + inertial)
+        self._clock = self._errors.stop
+        size = self._clock + 2 + _FLICKER_S.size
+        self._base = size
+        self._rates = np.zeros(size)  # what adds up to the clock's frequency
+        self._rates[self._clock + 1 :] = 1.0
+        self.mean = np.zeros(size)
+        self.mean[self._clock + 1] = drift_mps
+        self.P = np.zeros((size, size))
+        self.P[self._errors, self._errors] = P[_FROM:, _FROM:]
+        self.P[self._clock + 1, self._clock + 1] = drift_sigma_mps**2
+        flicker = slice(self._clock + 2, size)
+        self._flicker_mps2 = SPEED_OF_LIGHT_MPS**2 * oscillator.h_1 * math.log(_FLICKER_RATIO)
+        self.P[flicker, flicker] = self._flicker_mps2 * np.eye(_FLICKER_S.size)
+
+    @property
+    def arcs(self) -> int:
+        """How many there are."""
+        return int(self.mean.size) - self._base
+
+    @property
+    def drift_mps(self) -> float:
+        """Frequency of the receiver's clock, times c."""
+        return float(self._rates @ self.mean[: self._base])
+
+    @property
+    def velocity_variance_m2ps2(self) -> float:
+        """Sum over the three axes."""
+        first = self._errors.start
+        return float(np.trace(self.P[first : first + 3, first : first + 3]))
+
+    # --- time ----------------------------------------------------------------------------------
+
+    def carry(
+        self,
+        H_begin: FloatArray,
+        H_end: FloatArray,
+        Phi: FloatArray,
+        Q: FloatArray,
+        seconds: float,
+        *,
+        clock_shaken_m2: float = 0.0,
+        arcs_walk_m2: float = 0.0,
+    ) -> None:
+        """Go on to the next tag: the way's error grows by what the errors do to the antenna.
+
+        H (3, n): slope of the antenna's position (NED) in the inertial errors at both ends;
+        Phi, Q (n, n) of the errors in between; variances that come on top.
+        """
+        base, errors, clock = self._base, self._errors, self._clock
+        F, added = np.eye(base), np.zeros((base, base))
+        F[_WAY, errors] = (H_end @ Phi - H_begin)[:, _FROM:]
+        F[errors, errors] = Phi[_FROM:, _FROM:]
+        into = np.vstack([H_end, np.eye(Phi.shape[0])[_FROM:]])
+        added[: errors.stop, : errors.stop] = into @ Q @ into.T
+        F[clock:, clock:], added[clock:, clock:] = self._clock_transition(seconds)
+        added[clock, clock] += clock_shaken_m2
+        self.mean[:base] = F @ self.mean[:base]
+        P = self.P
+        P[:base] = F @ P[:base]
+        P[:, :base] = P[:, :base] @ F.T
+        P[:base, :base] += added
+        P[np.arange(base, P.shape[0]), np.arange(base, P.shape[0])] += arcs_walk_m2
+        self.P = 0.5 * (P + P.T)
+
+    def _clock_transition(self, seconds: float) -> tuple[FloatArray, FloatArray]:
+        """Phase by white noise of frequency, frequency by its random walk and by flicker."""
+        size = 2 + _FLICKER_S.size
+        kept = np.exp(-seconds / _FLICKER_S)
+        F, Q = np.eye(size), np.zeros((size, size))
+        F[0, 1] = seconds
+        F[0, 2:] = _FLICKER_S * (1.0 - kept)
+        F[range(2, size), range(2, size)] = kept
+        white = SPEED_OF_LIGHT_MPS**2 * self._oscillator.h0_s / 2.0
+        walk = SPEED_OF_LIGHT_MPS**2 * 2.0 * math.pi**2 * self._oscillator.h_2_hz
+        drawn = np.concatenate([[walk * seconds], self._flicker_mps2 * (1.0 - kept**2)])
+        Q[range(1, size), range(1, size)] = drawn
+        Q[0, 1:] = Q[1:, 0] = 0.5 * seconds * drawn  # each comes evenly over the step
+        Q[0, 0] = white * seconds + np.sum(drawn) * seconds**2 / 3.0
+        return F, Q
+
+    def shift(self, correction: FloatArray) -> None:
+        """The navigation's errors have changed by (n,); its way so far has not."""
+        self.mean[self._errors] += correction[_FROM:]
+
+    def restart_errors(self, P: FloatArray) -> None:
+        """Believe the navigation's own word (n, n) on its errors, as it is corrected now."""
+        errors = self._errors
+        self.mean[errors] = 0.0
+        self.P[errors] = 0.0
+        self.P[:, errors] = 0.0
+        self.P[errors, errors] = P[_FROM:, _FROM:]
+
+    def open_clock(self, jump_m: float) -> None:
+        """The clock has jumped by about so much."""
+        self.mean[self._clock] += jump_m
+        self.P[self._clock, self._clock] += jump_m**2
+
+    def open_arc(self, arc: int, variance_m2: float) -> None:
+        """An arc's constant is known less well than it seemed."""
+        k = self._base + arc
+        self.P[k, k] += variance_m2
+
+    def rest_way(self, toward_n: FloatArray) -> None:
+        """Move the way's mean error into the arcs' constants: directions (arcs, 3) change."""
+        self.mean[self._base :] += toward_n @ self.mean[_WAY]
+        self.mean[_WAY] = 0.0
+
+    # --- phases --------------------------------------------------------------------------------
+
+    def rows(self, toward_n: FloatArray, clocked: FloatArray) -> FloatArray:
+        """H (arcs, size): directions (arcs, 3), and whether the clock is in them (1 or 0)."""
+        H = np.zeros((self.arcs, self.mean.size))
+        H[:, _WAY] = toward_n
+        H[:, self._clock] = clocked
+        H[:, self._base :] = np.eye(self.arcs)
+        return H
+
+    def begin(
+        self, y_m: FloatArray, variance_m2: FloatArray, toward_n: FloatArray, clocked: FloatArray
+    ) -> None:
+        """New arcs (k): their constants are what the phases are above all else."""
+        size, count = self.mean.size, y_m.size
+        h = np.zeros((count, size))
+        h[:, _WAY], h[:, self._clock] = toward_n, clocked
+        across = -h @ self.P
+        P = np.zeros((size + count, size + count))
+        P[:size, :size] = self.P
+        P[size:, :size], P[:size, size:] = across, across.T
+        P[size:, size:] = -across @ h.T + np.diag(variance_m2)
+        self.mean, self.P = np.concatenate([self.mean, y_m - h @ self.mean]), P
+
+    def keep(self, kept: Chosen) -> None:
+        """Forget arcs, (arcs,) false."""
+        all_kept = np.concatenate([np.ones(self._base, dtype=np.bool_), kept])
+        self.mean, self.P = self.mean[all_kept], self.P[np.ix_(all_kept, all_kept)]
+
+    def update(self, H: FloatArray, y_m: FloatArray, variance_m2: FloatArray) -> None:
+        """Take phases in."""
+        if y_m.size:
+            self.mean, self.P, _, _ = correct(self.mean, self.P, y_m, H, np.diag(variance_m2))
+
+    def take_drift(self, drift_mps: float, sigma_mps: float) -> None:
+        """Take in the clock's frequency, times c, as Doppler tells it."""
+        H = np.concatenate([self._rates, np.zeros(self.arcs)])[np.newaxis]
+        self.update(H, np.array([drift_mps]), np.array([sigma_mps**2]))
+
+    def innovation(
+        self, H: FloatArray, y_m: FloatArray, variance_m2: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Phases less their prediction (k,), and the covariance of that (k, k)."""
+        return y_m - H @ self.mean, H @ self.P @ H.T + np.diag(variance_m2)
+
+
+def sound(innovation: FloatArray, covariance: FloatArray, limit: float) -> Chosen:
+    """Which of (k,) agree with the prediction and with each other.
+
+    The one that lies furthest from what prediction and all others say of it goes, until none is
+    more than `limit` of its σ away: one that jumps does not condemn the others.
+    """
+    kept = np.ones(innovation.size, dtype=np.bool_)
+    while kept.any():
+        inverse = np.linalg.inv(covariance[np.ix_(kept, kept)])
+        away = np.abs(inverse @ innovation[kept]) / np.sqrt(np.diagonal(inverse))
+        worst = int(np.argmax(away))
+        if away[worst] <= limit:
+            break
+        kept[np.flatnonzero(kept)[worst]] = False
+    return kept
+
+
+def common_jump(innovation: FloatArray, covariance: FloatArray, limit: float) -> float | None:
+    """What most of three or more have in common beyond the prediction, None if nothing."""
+    if innovation.size < 3:
+        return None
+    middle = float(np.median(innovation))
+    sigma = np.sqrt(np.diagonal(covariance))
+    jumped = np.abs(innovation) > limit * sigma
+    alike = np.abs(innovation - middle) < limit * sigma
+    most = 0.6 * innovation.size
+    return middle if np.sum(jumped & alike) > most else None
