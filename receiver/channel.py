@@ -9,6 +9,7 @@ runs at +Doppler here; the observables turn its sign (see `observables`).
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +52,7 @@ from deepgnss.receiver.modes import (
     TrackingSettings,
     unaided,
 )
+from deepgnss.receiver.open_loop import Gap, Led, LoopMemory, phase_of, predicted_cycles
 from deepgnss.receiver.signals import Signal, code_runs, neighbour_correlation
 from deepgnss.receiver.sync import decided_signs
 from deepgnss.receiver.trackers import (
@@ -67,6 +69,7 @@ from deepgnss.receiver.trackers import (
 )
 from deepgnss.receiver.windows import Windows
 
+_JUDGED_S = 1.0  # after a signal's return until its loops have shown what was off
 _HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
 
 
@@ -142,6 +145,10 @@ class Channel:
         self._symbol_sum = 0j
         self._symbol_periods = 0
         self._aiding = NO_AIDING
+        self._memory = LoopMemory(signal, sample_rate_hz)
+        self._gap: Gap | None = None
+        self._vouched: int | None = None  # sample at which somebody last looked after open loops
+        self.unproven = False  # the polarity was carried through an open loop
         self._since = sample  # sample of the last change of mode
         self._carrier_trackers: dict[Mode, Tracker] = {
             Mode.PULL_IN: FrequencyLock(settings.pull_in_bandwidth_hz, squared=self._coded),
@@ -226,9 +233,11 @@ class Channel:
         """Command, detect and decide by a complete interval; the next one begins."""
         middle_s, end_s = self._times(self._taken.shape[0])
         seen = self._accumulate()
+        begun = self.command, self._carrier, self._aiding, self.periods
         self._steer(seen, middle_s, end_s, aiding)
         self._detect(seen)
         self._collect_symbols(seen)
+        self._remember(*begun)
         self._decide(seen)
         self.history.append(self._interval())
         self._plan()
@@ -297,17 +306,22 @@ class Channel:
         self.history[-1] = self.history[-1]._replace(correction=carrier, middle_s=middle_s)
         before = advance(self._carrier, elapsed_s)
         after = corrected(before, carrier, elapsed_s - middle_s)
+        shift_chips = code.phase + code.frequency * (elapsed_s - middle_s)
+        self._learn(
+            after.phase - self._carrier.phase,
+            shift_chips + self._code_offset_hz * elapsed_s,
+            elapsed_s,
+        )
         self._carrier = self._aided(after, aiding, whole)
         self.frequency_error_hz += 0.3 * (carrier.frequency - self.frequency_error_hz)
         if self._code_loop.narrow(command.sample):  # a wide loop's noisy rate must not live on
             self._code_offset_hz = 0.0
-            code = code._replace(frequency=0.0)
+            shift_chips, code = code.phase, code._replace(frequency=0.0)
         self._code_offset_hz += code.frequency
         chips = (
             advance(NcoState(command.code_chips, command.code_hz, command.code_hzps), elapsed_s)[0]
             - seen.periods.shape[0] * self._length
-            + code.phase
-            + code.frequency * (elapsed_s - middle_s)
+            + shift_chips
             + (after.phase - before.phase) / self.signal.carrier_to_code
         )
         self.periods += seen.periods.shape[0]
@@ -398,6 +412,138 @@ class Channel:
             return None
         return signs(self.known, self.anchor + first, count, self.signal.symbol_periods)
 
+    # --- open loop -----------------------------------------------------------------------------
+
+    def _learn(self, turned_cycles: float, shifted_chips: float, elapsed_s: float) -> None:
+        """See what an interval of the loops did beyond what was predicted of it."""
+        if not self.aided:
+            return
+        aid, gap = self._aiding, self._gap
+        beyond_cycles = turned_cycles - predicted_cycles(aid, elapsed_s)
+        if self.mode is Mode.PHASE and self.phase_valid:
+            self._memory.learn(beyond_cycles / elapsed_s, elapsed_s, faint=False)
+        elif self.mode is Mode.WEAK:
+            offset_hz = self._carrier.frequency - aid.frequency_hz - aid.clock_hz
+            self._memory.learn(offset_hz, elapsed_s, faint=True)
+        if gap is not None and gap.returned is not None:
+            gap.code_chips += shifted_chips
+            if not gap.locked:
+                gap.phase_cycles += beyond_cycles - gap.offset_hz * elapsed_s
+
+    def _remember(
+        self, command: NcoCommand, carrier: NcoState, aid: AidingRate, periods: int
+    ) -> None:
+        """Keep a command whose interval is over, for the case that its signal is just falling."""
+        gap = self._gap
+        if aid == NO_AIDING or not self.aided:
+            self._memory.forget()
+        else:
+            chips = periods * self._length + command.code_chips
+            power = self.locks.recent[-1] if self.locks.recent else 0.0
+            self._memory.remember(command.sample, carrier, chips, aid, power)
+        if gap is None:
+            return
+        if gap.returned is not None:
+            if self._seconds_since(gap.returned) >= _JUDGED_S:
+                self._tell_gap()
+        elif gap.carried and not self._vouched_for(2.0):
+            self._forget_phase()
+
+    def _vouched_for(self, share: float) -> bool:
+        limit = share * self.settings.open_loop_phase_sigma_cycles
+        gap = self._gap
+        return (
+            gap is not None and self.aided and gap.vouched(self.command.sample, self._rate, limit)
+        )
+
+    @property
+    def phase_kept(self) -> bool:
+        """Whether a phase carried through an open loop is right to the half cycle, or the whole."""
+        return self._vouched_for(1.0) or (self._vouched_for(2.0) and self._gap_signs() is not None)
+
+    def _gap_signs(self) -> list[FloatArray] | None:
+        """Signs of the last symbols of an open loop as they shall be seen; None if not known."""
+        if self._gap is None or self.half_cycle is None:
+            return None
+        upright = -1.0 if self.half_cycle else 1.0
+        found = []
+        for first, sums in self._gap.symbols:
+            told = self._known_signs(first, sums.size)
+            if told is None:
+                return None
+            found.append(upright * told)
+        return found
+
+    def _open_loop(self) -> str:
+        """Go back to before the signal fell, and on from there by aiding alone."""
+        memory, gap = self._memory, self._gap
+        if not self.aided or memory.empty:
+            self._gap = None
+            return ""
+        if gap is not None and gap.returned is not None and not gap.locked:  # it was not back
+            index = memory.before(gap.returned)
+            gap = replace(gap, returned=None, phase_cycles=0.0, code_chips=0.0)
+        else:
+            self._tell_gap()
+            if self.mode is Mode.WEAK:
+                index = memory.before_faint_fall()
+            else:
+                index = memory.before_fall(self.locks.signal)
+            gap = None
+        led = memory.led_on(index, self.command.sample, self._aiding)
+        memory.resume(index)
+        carried = self.phase_valid and self._phase_since <= led[0].sample
+        self._gap = gap or Gap(led[0].sample, self._vouched, carried)
+        self._gap.symbols.clear()
+        self._carrier = led[-1].carrier
+        self._code_offset_hz = 0.0
+        past = self.periods * self._length
+        self.command = self._command(self.command.sample, led[-1].chips - past)
+        self._rewrite_history({one.sample: one for one in led[:-1]})
+        back_s = self._seconds_since(led[0].sample)
+        return f", open loop from {back_s:.2f} s before"
+
+    def _rewrite_history(self, led: dict[int, Led]) -> None:
+        """What the loops did since the signal fell was noise: nobody shall observe it."""
+        assert self._gap is not None
+        self.history = [
+            i
+            if (one := led.get(i.command.sample)) is None
+            else i._replace(
+                command=i.command._replace(
+                    carrier_cycles=one.carrier.phase,
+                    carrier_hz=one.carrier.frequency,
+                    carrier_hzps=one.carrier.rate,
+                    code_chips=one.chips - i.periods * self._length,
+                ),
+                correction=NO_CORRECTION,
+                code_valid=False,
+                phase_valid=self._gap.carried,
+                coasting=True,
+            )
+            for i in self.history
+        ]
+
+    def _close_loop(self, mode: Mode) -> None:
+        """The signal is back; a phase carried on is turned to what its first symbols show."""
+        gap = self._gap
+        if gap is None:
+            return
+        aid = self._aiding
+        gap.returned = self.command.sample
+        gap.offset_hz = self._carrier.frequency - aid.frequency_hz - aid.clock_hz
+        if mode is Mode.PHASE:
+            gap.phase_cycles = phase_of([sums for _, sums in gap.symbols], self._gap_signs())
+            self._carrier = self._carrier._replace(phase=self._carrier.phase + gap.phase_cycles)
+            self.unproven = self.half_cycle is not None
+            self._restart_symbols()
+
+    def _tell_gap(self) -> None:
+        """Say what an open loop came to."""
+        gap, self._gap = self._gap, None
+        if gap is not None and gap.returned is not None:
+            self._note("returned", gap.verdict(self.signal, self._rate))
+
     # --- detect, collect, decide -------------------------------------------------------------
 
     def _detect(self, seen: Accumulated) -> None:
@@ -409,6 +555,8 @@ class Channel:
                 self.locks = update_powers(self.locks, symbol, slow_s, size)
             else:
                 self.locks = update_locks(self.locks, symbol, size)
+        if self.mode is Mode.HOLD and self._gap is not None:
+            self._collect_held()
         if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
             return
         prompts = self._taken[:, 1]
@@ -460,6 +608,14 @@ class Channel:
                 self.symbols.append(int(self._symbol_sum.real < 0.0))
             self._symbol_sum, self._symbol_periods = 0j, 0
 
+    def _collect_held(self) -> None:
+        """Keep the last whole symbols of an open loop: they may be the first of the signal."""
+        prompts, size = self._taken[:, 1], self.signal.symbol_periods
+        if self._gap is None or self.edge is None or prompts.size % size:
+            return
+        sums = prompts.reshape(-1, size) @ self.signal.secondary
+        self._gap.symbols.append((self.periods - prompts.size, sums))
+
     def _decide(self, seen: Accumulated) -> None:
         match decide(self, seen.period_s):
             case Go(mode, reason):
@@ -468,7 +624,10 @@ class Channel:
                 self._leave_false_lock(off_hz)
             case Locked(reason):
                 self.phase_valid = True
-                self._phase_since = self.command.sample
+                if self._gap is not None:
+                    self._gap.locked = True
+                if self._gap is None or not self._gap.carried:
+                    self._phase_since = self.command.sample
                 self._note("phase lock", reason)
 
     def _leave_false_lock(self, off_hz: float) -> None:
@@ -479,6 +638,7 @@ class Channel:
         self.command = self._command(self.command.sample, self.command.code_chips)
         self.locks = restart_phase(self.locks)
         self.windows.restart()
+        self._memory.forget()
         self._since = self.command.sample
         self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
 
@@ -497,15 +657,24 @@ class Channel:
         """Phase continues with an unknown number of cycles and an unknown polarity."""
         self.slips += 1
         self.half_cycle = None
-        self.phase_valid = False
+        self.phase_valid = self.unproven = False
+        if self._gap is not None:
+            self._gap.carried = False
 
     def _go(self, mode: Mode, reason: str) -> None:
         if mode not in TRANSITIONS[self.mode]:
             raise ValueError(f"{self.satellite}: no way from {self.mode.name} to {mode.name}")
-        if self.mode in (Mode.PHASE, Mode.HOLD):
+        if mode is Mode.HOLD:
+            reason += self._open_loop()
+        if self.mode is Mode.HOLD:
+            self._close_loop(mode)
+        keeps = {self.mode, mode} == {Mode.PHASE, Mode.HOLD} and self._vouched_for(2.0)
+        if self.mode in (Mode.PHASE, Mode.HOLD) and not keeps:
             self._forget_phase()
+        self.phase_valid = False
         if mode is Mode.PHASE and self.edge is not None:
-            self._look_back(self.edge)
+            if self.mode is not Mode.HOLD:
+                self._look_back(self.edge)
             self.locks = restart_phase(self.locks)
         else:  # only a phase loop keeps a frequency rate of its own
             self._carrier = self._carrier._replace(rate=self._aiding.rate_hzps)
@@ -519,7 +688,8 @@ class Channel:
         if self.mode is Mode.HOLD or (self.mode is Mode.WEAK and not self._code_loop.settled(here)):
             windows = mode is Mode.WEAK
             self._code_loop.restart(here, self._code_loop.settling_s(windows=windows))
-        if mode is Mode.WEAK:  # its long average is not to begin with what was stronger
+        # A long average is not to begin with what was stronger, or with nothing.
+        if mode is Mode.WEAK or (self.mode is Mode.HOLD and self.aided):
             self.locks = self.locks._replace(seconds=0.0)
         self.frequency_error_hz = 0.0
         self.mode = mode
@@ -541,12 +711,18 @@ class Channel:
         It holds for all of the present lock, also for intervals not yet observed.
         """
         if self.half_cycle is not None:
-            return
-        before, self.half_cycle = self.slips, half_cycle
-        if half_cycle:
+            if not self.unproven:
+                return
+            self.unproven = False
+            if half_cycle == self.half_cycle:
+                return
+            self._note("cycle slip", "symbols contradict the phase carried through an open loop")
+        before, after = self.half_cycle, half_cycle
+        arc, self.half_cycle = self.slips, half_cycle
+        if after != (before or 0.0):
             self.slips += 1
         self.history = [
-            i._replace(slips=self.slips, half_cycle=half_cycle) if i.slips == before else i
+            i._replace(slips=self.slips, half_cycle=half_cycle) if i.slips == arc else i
             for i in self.history
         ]
 
@@ -567,11 +743,18 @@ class Channel:
         """Whether the generators run on by aiding alone."""
         return self.mode is Mode.HOLD and self.aided
 
-    def coast(self, move: Coast) -> None:
-        """Put right a phase carried on in open loop, and the code with it."""
-        if not self.coasting:
+    def coast(self, move: Coast | None) -> None:
+        """Put right a phase carried on in open loop, and the code with it.
+
+        None: somebody looks after open loops, and has nothing to say of this channel.
+        """
+        self._vouched = self.command.sample
+        gap = self._gap
+        if move is None or not self.coasting:
             return  # the signal is back: the loop sees for itself
-        self._move(-move.cycles, code=True, since=self._since)
+        if gap is not None:
+            gap.told, gap.sigma_cycles = self._vouched, move.sigma_cycles
+        self._move(-move.cycles, code=True)
 
     def mend(self, cycles: float | None, reason: str, *, told: bool) -> None:
         """A slip found from outside: `cycles` (RINEX) are missing, None: nobody knows how many.
@@ -595,8 +778,12 @@ class Channel:
         if cycles is None or cycles % 1.0:  # the symbols before it may be of the other sign
             self._restart_symbols()
 
-    def _move(self, cycles: float, *, code: bool, since: int | None = None) -> None:
-        """Turn the carrier generator (+Doppler), also where it is not yet observed."""
+    def _move(self, cycles: float, *, code: bool) -> None:
+        """Turn the carrier generator (+Doppler), also where it is not yet observed.
+
+        code: it is an open loop that is put right, and the code goes along.
+        """
+        turn = np.exp(-2j * np.pi * math.fmod(cycles, 1.0))
         chips = cycles / self.signal.carrier_to_code if code else 0.0
 
         def moved(command: NcoCommand) -> NcoCommand:
@@ -607,13 +794,15 @@ class Channel:
 
         self._carrier = self._carrier._replace(phase=self._carrier.phase + cycles)
         self.command = moved(self.command)
-        self._taken[: self.filled] *= np.exp(-2j * np.pi * math.fmod(cycles, 1.0))
+        self._taken[: self.filled] *= turn
         self.history = [
-            i
-            if since is not None and i.command.sample < since
-            else i._replace(command=moved(i.command))
+            i._replace(command=moved(i.command)) if i.coasting or not code else i
             for i in self.history
         ]
+        self._memory.move(cycles, chips)
+        if self._gap is not None:
+            for _, sums in self._gap.symbols:
+                sums *= turn
 
     def _restart_symbols(self) -> None:
         """Begin a new stretch of symbols at the next edge."""
@@ -634,7 +823,7 @@ class Channel:
             self.command,
             self.periods,
             settled and self._code_loop.settled(self.command.sample),
-            self.phase_valid,
+            self.phase_valid or (self.coasting and self._gap is not None and self._gap.carried),
             self.slips,
             self._phase_since,
             self.cn0_dbhz,

@@ -1,0 +1,63 @@
+"""Closed loops fed forward: motions reach them, corrections of the navigation do not."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+
+from deepgnss.core.records import RunningSums
+from deepgnss.evaluate.reproduce.correlator_model import RATE_HZ, Model, start
+from deepgnss.receiver.channel import Channel
+from deepgnss.receiver.modes import AidingRate, AidingSource, Mode, TrackingSettings
+
+START_S = 4.0
+
+
+def locked(model: Model, order: int) -> Channel:
+    """A phase lock on a strong signal, aided all along by what truly moves."""
+    channel = start(model, TrackingSettings(carrier_order=order))
+    go_on(channel, START_S, told(model))
+    assert channel.mode is Mode.PHASE
+    return channel
+
+
+def told(model: Model, off_hz: float = 0.0, off_hzps: float = 0.0) -> AidingSource:
+    """A prediction that is off by a frequency, and more so with every second."""
+
+    def at(sample: int) -> AidingRate:
+        t = sample / RATE_HZ
+        rate_hzps = model.rate_hzps + off_hzps
+        return AidingRate(model.doppler_hz + t * rate_hzps + off_hz, rate_hzps)
+
+    return at
+
+
+def go_on(channel: Channel, end_s: float, aiding: AidingSource) -> None:
+    channel.begin_epoch()
+    channel.run(cast(RunningSums, SimpleNamespace(end=round(end_s * RATE_HZ))), aiding)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_what_a_fix_corrects_does_not_shake_the_loop(order: int) -> None:
+    model = Model(lambda _t: 70.0, rate_hzps=8.0)
+    channel = locked(model, order)
+    for k in range(20):  # a velocity jumps by 2 m/s from epoch to epoch
+        go_on(channel, START_S + 0.1 * (k + 1), told(model, 10.0 * (-1) ** k))
+        sample = channel.command.sample
+        true_hz = model.doppler_hz + sample / RATE_HZ * model.rate_hzps
+        assert channel.command.carrier_hz == pytest.approx(true_hz, abs=0.1)
+        assert abs(channel.history[-2].correction.phase) < 2e-3
+
+
+def test_a_loop_without_a_rate_of_its_own_runs_at_the_rate_it_is_told() -> None:
+    """An acceleration 2 Hz/s off leaves 2/ω² cycles behind, whatever was told before."""
+    model = Model(lambda _t: 70.0, rate_hzps=8.0)
+    channel = locked(model, 2)
+    for k in range(30):
+        go_on(channel, START_S + 0.1 * (k + 1), told(model, 5.0 * (-1) ** k, 2.0))
+        assert channel.command.carrier_hzps == pytest.approx(10.0, abs=1e-6)
+    natural = 7.0 / 0.53
+    left = channel.history[-2].correction.phase
+    assert 0.2 * 2.0 / natural**2 < -left < 2.0 / natural**2
