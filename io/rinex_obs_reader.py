@@ -165,17 +165,45 @@ def _is_header(line: str) -> bool:
     return line[60:].strip() == "RINEX VERSION / TYPE"
 
 
+def _after_header(lines: list[str], number: int) -> int:
+    """First line behind a further header: files glued together, with the same observations."""
+
+    def types(first: int) -> tuple[list[str], int]:
+        found = []
+        for end in range(first, len(lines)):
+            label = lines[end][60:].strip()
+            if label == "END OF HEADER":
+                return found, end + 1
+            if label == "SYS / # / OBS TYPES":
+                found.append(lines[end].rstrip())
+        return [], first
+
+    names, end = types(number)
+    if not names or names != types(0)[0]:
+        raise _LineError(
+            number, "a header other than the first: two files glued together, take them apart"
+        )
+    return end
+
+
+def _later_counts(earlier: list[_Epoch], later: list[_Epoch]) -> list[_Epoch]:
+    """Epochs of two parts: where both have one, that of the second, which was written last."""
+    told = {epoch.time for epoch in later}
+    return [epoch for epoch in earlier if epoch.time not in told] + later
+
+
 def _epochs3(lines: list[str], first: int, codes: dict[str, list[str]]) -> list[_Epoch]:
-    epochs = []
+    epochs: list[_Epoch] = []
     number = first
     while number < len(lines):
         line = lines[number]
         if not line.strip():
             number += 1
             continue
+        if _is_header(line):
+            return _later_counts(epochs, _epochs3(lines, _after_header(lines, number), codes))
         if line[0] != ">":
-            what = "a second header: two files glued together" if _is_header(line) else line[:40]
-            raise _LineError(number, f"an epoch line ('>') is missing ({what.strip()})")
+            raise _LineError(number, f"an epoch line ('>') is missing ({line[:40].strip()})")
         flag, count = _flag_and_count(number, line, 31)
         if flag <= 1:
             at = list(range(number + 1, number + 1 + count))

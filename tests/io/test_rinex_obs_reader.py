@@ -153,7 +153,10 @@ def test_events_are_passed_over(tmp_path: Path) -> None:
         (_HEADER.format(system="GPS") + _EPOCH.replace("G 5", "R05"), "line 8: system 'R'"),
         (_HEADER.format(system="GPS") + _EPOCH.replace("G 5", "G?5"), "'G\\?5' is not a satellite"),
         (_HEADER.format(system="GPS") + _EPOCH[1:], "line 6: an epoch line"),
-        (_HEADER.format(system="GPS") * 2, "two files glued together"),
+        (
+            _HEADER.format(system="GPS") + _HEADER.format(system="GPS").replace("C1C", "C1P"),
+            "two files glued together",
+        ),
         (_HEADER.replace("SYS /", "???"), "no observation types"),
         (_EPOCH, "not a RINEX file"),
     ],
@@ -162,3 +165,18 @@ def test_damage_is_one_line(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputFileError, match=message) as caught:
         _read(tmp_path, text)
     assert "\n" not in str(caught.value)
+
+
+def test_of_files_glued_together_the_later_counts(tmp_path: Path, shared_data: Path) -> None:
+    whole = _HEADER.format(system="GPS") + _EPOCH
+    frame = _read(tmp_path, whole + whole.replace("67.891", "68.891")).frame
+    assert len(frame) == len(_read(tmp_path, whole).frame)
+    assert frame["C2I"].iloc[0] == _read(tmp_path, whole).frame["C2I"].iloc[0] + 1.0
+    # The first part of this recording of one chain is a copy of the other's.
+    folder = shared_data / "real/gnss/jmfriedt-dualchain"
+    first, second = (
+        read_obs(folder / f"2m_gps_{chain}.25O").frame.set_index(["tow_s", "satellite"])["C1C"]
+        for chain in (1, 2)
+    )
+    assert not first.index.duplicated().any()
+    assert 1.5 < float((second - first).median()) < 2.3
