@@ -72,10 +72,12 @@ class Place(NamedTuple):
     moving: bool = False  # it may be on the move, so that position and velocity are rough
 
 
-def predict_sights(place: Place, nav: NavData, signal: Signal) -> list[Sight]:
-    """Satellites that send a signal, with a usable ephemeris, as seen from a place."""
+def predict_sights(
+    place: Place, nav: NavData, signal: Signal, satellites: Sequence[str] | None = None
+) -> list[Sight]:
+    """Satellites (default: all) that send a signal, with a usable ephemeris, from a place."""
     chosen: list[Ephemeris] = []
-    for satellite in sorted(nav.ephemerides):
+    for satellite in sorted(nav.ephemerides) if satellites is None else satellites:
         if satellite[0] == signal.id.system and int(satellite[1:]) in signal.prns:
             ephemeris = orbits.select(nav, satellite, place.time)
             if ephemeris is not None:
@@ -149,6 +151,7 @@ class Searcher:
         self._pause_s: dict[int, float] = {}
         self._tried: dict[int, int] = {}
         self._predicted: frozenset[int] = frozenset()
+        self._risen: frozenset[int] = frozenset()  # of those predicted: healthy, above the mask
         self._start: int | None = None  # the first sample there is to look back on
         self._next_weak = 0
         self._tried_long: dict[int, int] = {}
@@ -194,6 +197,11 @@ class Searcher:
             self._next_predicted = first + round(self._settings.predicted_every_s * self._rate)
             sights = predict_sights(place, nav, self._signal)
             self._predicted = frozenset(int(sight.satellite[1:]) for sight in sights)
+            self._risen = frozenset(
+                int(sight.satellite[1:])
+                for sight in sights
+                if sight.elevation_rad >= self._settings.below_mask_rad and sight.healthy
+            )
             outcomes += [
                 self._in_window(sums(), first, place, sight)
                 for sight in sights
@@ -238,18 +246,16 @@ class Searcher:
             return []
         if first - needed_samples(self._signal, weak, self._rate) < self._start:
             return []
-        missed = [
-            sight
-            for sight in predict_sights(place, nav, self._signal)
-            if sight.elevation_rad >= self._settings.below_mask_rad
-            and sight.healthy
-            and int(sight.satellite[1:]) in self._pause_s.keys() - taken
-        ]
+        missed = (self._risen & self._pause_s.keys()) - taken
         if not missed:
             return []
+        prn = min(missed, key=lambda p: (self._tried_long.get(p, -1), p))
+        satellite = self._signal.satellite(prn)
+        sights = predict_sights(place, nav, self._signal, (satellite,))
+        if not sights:  # its ephemeris has aged since
+            return []
+        (sight,) = sights
         self._next_weak = first + round(self._settings.weak_every_s * self._rate)
-        sight = min(missed, key=lambda s: self._tried_long.get(int(s.satellite[1:]), -1))
-        prn = int(sight.satellite[1:])
         self._tried_long[prn] = first
         aim = aim_of(sight, place, self._signal, self._settings)
         seen = weak_search(feed.over, first, self._signal, prn, aim, weak, self._rate, strong)
