@@ -8,12 +8,15 @@ from typing import Final
 from deepgnss.core.errors import ConfigError
 from deepgnss.evaluate.reproduce import (
     bit_sync,
+    blockage,
     carrier_phase,
     code_noise,
     false_lock,
     frame_sync,
+    high_dynamics,
     multipath,
     peaks,
+    weak_ranges,
 )
 from deepgnss.evaluate.reproduce.table import Row
 
@@ -58,12 +61,14 @@ ROWS: Final = (
         "dynamic, 21.5 dB-Hz, FFT of 512 ms: σ of ranges / smoothed",
         "3.0 / 3.4, smoothed 1.3 / 1.5 m",
         "≤ 1.1 · √2 σ_th; smoothed ≤ 1.2 / 1.4 m",
+        weak_ranges.measure,
     ),
     Row(
         "PR-BACK",
         "47 dB-Hz, back after 20 s of blockage: range error after 1 s",
         "0.5 m",
         "≤ 0.5 m, no search run",
+        blockage.measure,
     ),
     Row(
         "PR-MP",
@@ -84,6 +89,7 @@ ROWS: Final = (
         "20 dB-Hz, 100 g for 1 s, aided, window ≤ 320 ms",
         "tracked",
         "tracked, 100 runs of 100",
+        high_dynamics.measure,
     ),
     Row(
         "BIT-20",

@@ -1,0 +1,119 @@
+"""FFT-20G: 100 g at 20 dB-Hz, frequency tracked by the spectrum of windows and aided, T 4.6."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from deepgnss.core.records import Epoch, Event
+from deepgnss.evaluate.reproduce.sampled_truth import SampledTruth
+from deepgnss.evaluate.reproduce.table import Figure
+from deepgnss.evaluate.reproduce.weak_ranges import CHIP_M
+from deepgnss.evaluate.reproduce.whole_receiver import Recording, recorded, started, with_unit
+from deepgnss.receiver.modes import Mode
+
+WINDOW_S: Final = 0.32
+OFF_HZ: Final = 0.5 / WINDOW_S  # within the window's line
+OFF_CHIPS: Final = 0.1
+_SETTINGS: Final = (
+    "imu.alignment={method: config, roll: 0.0, pitch: 30.0, yaw: 60.0}",  # as the unit starts
+    f"tracking.frequency={{window: {WINDOW_S}}}",
+    "output.interval=0.1",
+)
+_AFTER_S: Final = 2.0  # six windows: what has been lost does not come back by itself
+_HARD_MPS2: Final = 100.0  # steps that count
+_LOST: Final = frozenset({Mode.HOLD.value, Mode.LOST.value, "acquired", "false lock"})
+_QUICK_S: Final = 48.0
+
+
+class Manoeuvre(NamedTuple):
+    """A step of acceleration and back, s since the scenario's start."""
+
+    begin_s: float
+    end_s: float
+
+
+class Outcome(NamedTuple):
+    """One satellite after a manoeuvre."""
+
+    off_hz: float
+    off_chips: float
+    lost: bool
+
+    @property
+    def tracked(self) -> bool:
+        """Whether frequency and code are still the signal's."""
+        return not self.lost and abs(self.off_hz) < OFF_HZ and abs(self.off_chips) < OFF_CHIPS
+
+
+def manoeuvres(recording: Recording) -> list[Manoeuvre]:
+    """The hard ones that the recording goes on after."""
+    config = recording.simulation.config
+    trajectory = config.trajectory.steps
+    if trajectory is None:
+        raise ValueError(f"{config.name}: no trajectory by steps of acceleration")
+    found = []
+    for (begin_s, value), (back_s, _) in zip(trajectory.steps, trajectory.steps[1:], strict=False):
+        end_s = back_s + abs(value) / trajectory.jerk
+        if abs(value) > _HARD_MPS2 and end_s + _AFTER_S + 0.5 < config.seconds:
+            found.append(Manoeuvre(begin_s, end_s))
+    return found
+
+
+def outcomes(recording: Recording, grade: str) -> list[Outcome]:
+    """Every satellite after every manoeuvre; what all Dopplers have in common is the clock's."""
+    truth = SampledTruth(recording)
+    epochs: dict[int, Epoch] = {}
+    events: list[Event] = []
+    with started(recording, *_SETTINGS, *with_unit(recording, grade)) as run:
+        for result in run.engine.steps():
+            events += result.events
+            epochs.update(
+                (round(10.0 * fix.epoch.time.since(truth.start)), fix.epoch) for fix in result.fixes
+            )
+    rate_hz = recording.scenario.streams[0].front_end.sample_rate_hz
+    found = []
+    for begin_s, end_s in manoeuvres(recording):
+        until_s = end_s + _AFTER_S
+        epoch = epochs.get(round(10.0 * until_s))
+        seen = truth.errors(epoch) if epoch is not None else {}
+        drift_hz = statistics.median(error.doppler_hz for error in seen.values()) if seen else 0.0
+        gone = {
+            event.satellite
+            for event in events
+            if event.what in _LOST and begin_s < event.sample / rate_hz < until_s
+        }
+        for emitter in recording.scenario.emitters:
+            name = emitter.satellite
+            error = seen.get(name)
+            if error is None:
+                found.append(Outcome(0.0, 0.0, lost=True))
+                continue
+            chips = error.range_m / CHIP_M
+            found.append(Outcome(error.doppler_hz - drift_hz, chips, lost=name in gone))
+    return found
+
+
+def measure(quick: bool, seeds: Sequence[int]) -> list[Figure]:
+    """Shares tracked; FSAS is judged; quick: the acceleration alone, one seed."""
+    grades = ("FSAS",) if quick else ("FSAS", "MTi-G")
+    found: dict[str, list[Outcome]] = {grade: [] for grade in grades}
+    for seed in seeds[:1] if quick else seeds:
+        short = (f"seconds={_QUICK_S}",) if quick else ()
+        with recorded("hundred_g", seed, *short) as recording:
+            for grade in grades:
+                found[grade] += outcomes(recording, grade)
+    return [_figure(grade, runs, judged=grade == "FSAS") for grade, runs in found.items()]
+
+
+def _figure(grade: str, runs: Sequence[Outcome], *, judged: bool) -> Figure:
+    held = [run for run in runs if not run.lost]
+    tracked = sum(run.tracked for run in runs)
+    hz = max((abs(run.off_hz) for run in held), default=0.0)
+    chips = max((abs(run.off_chips) for run in held), default=0.0)
+    return Figure(
+        f"{grade}: tracked after 100 g for 1 s",
+        f"{tracked} of {len(runs)}; largest {hz:.2f} Hz of {OFF_HZ:.2f}, {chips:.3f} chip",
+        tracked == len(runs) if judged else None,
+    )
