@@ -25,6 +25,7 @@ from deepgnss.deep.inertial import (
     wheel_speeds,
 )
 from deepgnss.deep.navigation import InertialInputs, Navigation, NavigationState
+from deepgnss.deep.screening import Screening, ScreenSettings
 from deepgnss.deep.setup import RunPlan
 from deepgnss.ins import WheelSpeeds
 from deepgnss.ins.increments import joined
@@ -34,7 +35,8 @@ from deepgnss.ins.updates import Innovation
 from deepgnss.io.config import Config
 from deepgnss.io.imu import ImuLog, read_odometer
 from deepgnss.receiver.clock import NS, ReceiverClock, to_ns
-from deepgnss.receiver.receiver import Fix, Receiver, StepResult
+from deepgnss.receiver.modes import Coast
+from deepgnss.receiver.receiver import Fix, Receiver, Screen, StepResult
 
 
 class Aids(NamedTuple):
@@ -42,6 +44,7 @@ class Aids(NamedTuple):
 
     profiles: Mapping[str, Profile]
     place: tuple[FloatArray, FloatArray] | None
+    screen: Screen | None = None
 
 
 NO_AIDS = Aids({}, None)
@@ -59,10 +62,16 @@ class CoupledNavigation:
     """Joins a receiver and an inertial navigation, an epoch at a time."""
 
     def __init__(
-        self, navigation: Navigation, aider: Aider, bridge: Bridge, notes: tuple[str, ...] = ()
+        self,
+        navigation: Navigation,
+        aider: Aider,
+        bridge: Bridge,
+        screening: Screening | None = None,
+        notes: tuple[str, ...] = (),
     ) -> None:
         """`notes`: what is odd about the inertial log."""
         self.navigation = navigation
+        self.screening = screening
         self.notes = notes
         self._aider = aider
         self._bridge = bridge
@@ -76,12 +85,12 @@ class CoupledNavigation:
             return NO_AIDS
         self._model_drift_sps = clock.drift_sps
         if not self.navigation.running:
-            return NO_AIDS
+            return self._unaided()
         # The last command of the epoch goes beyond it: an update of increments must be waited for.
         span = (clock.time(first), clock.time(end).plus(AHEAD_S))
         trajectory = self.navigation.ahead(span[1])
         if trajectory is None:
-            return NO_AIDS
+            return self._unaided()
         listeners = [
             Listener(channel.satellite, channel.signal.id, float(bank.rate_hz))
             for bank in receiver.banks
@@ -91,12 +100,22 @@ class CoupledNavigation:
         drift_sps = self._drift_sps if known_sps is None else known_sps
         profiles = self._aider.profiles(trajectory, span, listeners, receiver.nav, clock, drift_sps)
         antenna = trajectory.antenna(trajectory.time_s[-1:], self._aider.lever_b_m)
-        return Aids(profiles, (antenna.r_e_m[0], antenna.v_e_mps[0]))
+        screen = None
+        if self.screening is not None:
+            screen = self.screening.along(trajectory, self._aider.lever_b_m, receiver.nav)
+        return Aids(profiles, (antenna.r_e_m[0], antenna.v_e_mps[0]), screen)
+
+    def _unaided(self) -> Aids:
+        """Nothing to aid with, nor to hold ranges against."""
+        if self.screening is not None:
+            self.screening.forget()
+        return NO_AIDS
 
     def after(self, receiver: Receiver, result: StepResult) -> Navigated:
         """Take an epoch's fixes; the navigation at their tags, and what it has to tell."""
         states: list[NavigationState] = []
         events: list[Event] = []
+        moves: Mapping[str, Coast] = {}
         for fix in result.fixes:
             found = self.navigation.take([fix])
             states += found
@@ -108,13 +127,17 @@ class CoupledNavigation:
                 jump_ns = bridged.clock_jump_m / SPEED_OF_LIGHT_MPS * NS
                 detail = f"all phases moved together by {jump_ns:+.2f} ns"
                 events.append(Event(fix.epoch.instant.sample, "RX", "clock jump", detail))
-            if fix is result.fixes[-1]:  # the generators stand as its tag saw them
-                receiver.coast(bridged.moves)
+            moves = bridged.moves
+        receiver.coast(moves)  # of the last tag: it saw the generators as they stand
         told, innovations = self.navigation.news()
         for event in told:
             time = self.navigation.instant(event.time_s)
             sample = clock.instant(to_ns(time)).sample if (clock := receiver.clock) else result.end
             events.append(Event(sample, "INS", event.what, event.reason))
+        for flag in self.screening.news() if self.screening is not None else ():
+            sample = clock.instant(to_ns(flag.time)).sample if (clock := receiver.clock) else 0
+            what = "range refused" if flag.refused else "range accepted"
+            events.append(Event(sample, flag.satellite, what, flag.reason))
         return Navigated(tuple(states), tuple(events), tuple(innovations))
 
     def _bridged(self, receiver: Receiver, fix: Fix, state: NavigationState | None) -> Bridged:
@@ -175,4 +198,8 @@ def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNaviga
     tracking = plan.settings.tracking
     loop = Loop(tracking.carrier_bandwidth_hz, tracking.coherent_s)
     bridge = Bridge(config.oscillator.oscillator(), loop)
-    return CoupledNavigation(Navigation(inputs), aider, bridge, notes)
+    outliers, screening = config.positioning.outliers, None
+    if outliers.enabled:
+        own = ScreenSettings(outliers.alpha, outliers.threshold)
+        screening = Screening(plan.settings.pvt, own, plan.stream.sample_rate_hz)
+    return CoupledNavigation(Navigation(inputs), aider, bridge, screening, notes)

@@ -84,7 +84,7 @@ class Engine:
             self.coupled = self.coupled or self._couple(clock)
         coupled = self.coupled
         aids = coupled.before(receiver, first, end) if coupled is not None else NO_AIDS
-        result = receiver.step(feeds, first, end, aids.profiles, aids.place)
+        result = receiver.step(feeds, first, end, aids.profiles, aids.place, aids.screen)
         self.navigated = coupled.after(receiver, result) if coupled is not None else Navigated()
         return replace(result, events=(*result.events, *self.navigated.events))
 

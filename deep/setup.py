@@ -178,7 +178,8 @@ def limits(config: Config) -> tuple[str, ...]:
     """Lines to print before a run: settings that this receiver cannot follow to the letter."""
     lines = []
     positioning = config.positioning
-    if positioning.outliers.enabled and "outliers" in positioning.model_fields_set:
+    aided = config.imu is not None and config.deep.enabled
+    if positioning.outliers.enabled and "outliers" in positioning.model_fields_set and not aided:
         lines.append("positioning.outliers: needs inertial aiding; this run relies on RAIM")
     return tuple(lines)
 

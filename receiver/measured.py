@@ -85,8 +85,8 @@ class Ranges(NamedTuple):
     misfit_m: FloatArray  # (k,) range less that from the antenna's place
     range_m: FloatArray  # (k,)
     rate_mps: FloatArray  # (k,) NaN where there is none
-    noise_m: FloatArray  # (k,) 1σ of the code loop
-    sigma_m: FloatArray  # (k,) 1σ of everything
+    cn0_dbhz: FloatArray
+    sigma_m: FloatArray  # (k,)
     rate_sigma_mps: FloatArray  # (k,)
 
 
@@ -117,7 +117,7 @@ def ranges_from(
         misfit_m=range_m - sight.range_m,
         range_m=range_m,
         rate_mps=measured.rates_mps + (SPEED_OF_LIGHT_MPS - still) * states.drift_sps,
-        noise_m=errors.code_noise_m * 10.0 ** ((45.0 - cn0_dbhz) / 20.0),
+        cn0_dbhz=cn0_dbhz,
         sigma_m=range_sigma(errors, ephemerides, elevation, cn0_dbhz, variance_m2),
         rate_sigma_mps=rate_sigma(errors, cn0_dbhz),
     )
