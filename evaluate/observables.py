@@ -47,7 +47,7 @@ def range_errors(observed: pd.DataFrame, ranges: pd.DataFrame) -> pd.DataFrame:
     (number of the phase's unbroken stretch, by flags and gaps), clock_s.
     """
     week = int(ranges["week"].iloc[0])
-    frame = observed.assign(_s=_seconds(observed, week)).sort_values(
+    frame = observed.assign(_s=week_seconds(observed, week)).sort_values(
         ["satellite", "_s"], kind="stable"
     )
     truth = _by_satellite(ranges, week)
@@ -69,7 +69,7 @@ def range_errors(observed: pd.DataFrame, ranges: pd.DataFrame) -> pd.DataFrame:
             "cn0_dbhz": frame["cn0_dbhz"],
             "code_m": frame["pseudorange_m"] - _true(frame, truth, "range_m", clock_s) - clock_m,
             "phase_m": phase_m,
-            "arc": _arcs(frame, frame["carrier_cycles"].notna()),
+            "arc": phase_arcs(frame, frame["carrier_cycles"].notna()),
             "clock_s": clock_s,
         }
     )
@@ -80,12 +80,12 @@ def range_errors(observed: pd.DataFrame, ranges: pd.DataFrame) -> pd.DataFrame:
 
 def _by_satellite(ranges: pd.DataFrame, week: int) -> _Truth:
     return {
-        str(name): (_seconds(rows, week), rows)
+        str(name): (week_seconds(rows, week), rows)
         for name, rows in ranges.groupby("satellite", sort=False)
     }
 
 
-def _seconds(frame: pd.DataFrame, week: int) -> FloatArray:
+def week_seconds(frame: pd.DataFrame, week: int) -> FloatArray:
     weeks = frame["week"].to_numpy(dtype=np.int64) - week
     seconds: FloatArray = weeks * float(SECONDS_PER_WEEK) + frame["tow_s"].to_numpy(np.float64)
     return seconds
@@ -113,7 +113,7 @@ def _true(
     return values
 
 
-def _arcs(frame: pd.DataFrame, has_phase: pd.Series) -> pd.Series:
+def phase_arcs(frame: pd.DataFrame, has_phase: pd.Series) -> pd.Series:
     """Number of the phase arc, row by row of a frame sorted by satellite and time."""
     times = frame["_s"].where(has_phase)
     by_satellite = frame["satellite"]
@@ -289,7 +289,7 @@ def thermal_sigmas(
     Returns: errors with the columns phase_thermal_m, code_thermal_m (NaN before the loops' time).
     """
     week = int(errors["week"].iloc[0])
-    settings = channels.assign(time_ms=(_seconds(channels, week) * 1e3).round().astype(np.int64))
+    settings = channels.assign(time_ms=(week_seconds(channels, week) * 1e3).round().astype(np.int64))
     columns = ["coherent_s", "carrier_bandwidth_hz", "code_bandwidth_hz"]
     merged = pd.merge_asof(
         errors.sort_values("time_ms", kind="stable"),

@@ -169,7 +169,7 @@ def _after_header(lines: list[str], number: int) -> int:
     """First line behind a further header: files glued together, with the same observations."""
 
     def types(first: int) -> tuple[list[str], int]:
-        found = []
+        found: list[str] = []
         for end in range(first, len(lines)):
             label = lines[end][60:].strip()
             if label == "END OF HEADER":

@@ -1,0 +1,179 @@
+"""Several receivers side by side: positions against truth, code and carrier against a base."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.errors import InputFileError
+from deepgnss.core.records import FloatArray, NavData
+from deepgnss.evaluate.double_differences import (
+    common,
+    double_differences,
+    references,
+    satellite_table,
+)
+from deepgnss.evaluate.geometry import between, modelled_errors
+from deepgnss.evaluate.positions import (
+    Figures,
+    Instants,
+    Section,
+    availability,
+    figures,
+    grid,
+    position_errors,
+)
+from deepgnss.evaluate.single_point import at_rest, single_point
+from deepgnss.evaluate.sources import Source
+from deepgnss.io.truth import Trajectory
+
+
+class Clock(NamedTuple):
+    """Difference of two receivers' clocks as the ranges show it (delays of cables with it)."""
+
+    median_m: float
+    sigma_m: float  # of one difference
+    differences: int
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Tables by receiver; empty where nothing was given to compare with."""
+
+    positions: Mapping[str, Figures]
+    errors: Mapping[str, pd.DataFrame]  # as of `position_errors`
+    sections: Mapping[str, Mapping[str, float]]  # share of instants with a position
+    observations: Mapping[str, pd.DataFrame]  # as of `satellite_table`
+    doubled: Mapping[str, pd.DataFrame]  # as of `double_differences`
+    clocks: Mapping[str, Clock]  # against the base
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Yardstick:
+    """What the receivers are held against."""
+
+    truth: Trajectory | None = None
+    base: pd.DataFrame | None = None  # observations
+    base_r_e_m: FloatArray | None = None  # (3,); None: that of the rovers (zero baseline)
+    nav: NavData = field(default_factory=NavData)
+    interval_s: float = 1.0
+    elevation_mask_deg: float = 10.0
+    gross_m: float = 3.0
+    sections: tuple[Section, ...] = ()
+
+
+def compare(sources: Sequence[Source], yardstick: Yardstick) -> Comparison:
+    """Hold receivers against truth and base: same instants, same satellites for all.
+
+    Receivers without positions of their own get those of our single-point solution.
+
+    Raises InputFileError: there is nothing to compare with.
+    """
+    if yardstick.truth is None and yardstick.base is None:
+        raise InputFileError("--truth, --base: found neither; there is nothing to compare with")
+    notes: list[str] = []
+    whole = [_with_positions(source, yardstick, notes) for source in sources]
+    found: dict[str, pd.DataFrame] = {}
+    asked = np.zeros(0, np.int64)
+    if yardstick.truth is not None:
+        located = {s.name: s.positions for s in whole if len(s.positions)}
+        found = position_errors(located, yardstick.truth, yardstick.interval_s)
+        asked = _overlap(found, grid(yardstick.truth, yardstick.interval_s))
+    singles = _singles(whole, yardstick, notes) if yardstick.base is not None else {}
+    high = {
+        name: table[table["elevation_deg"] >= yardstick.elevation_mask_deg]
+        for name, table in singles.items()
+    }
+    shared = common(high) if high else {}
+    first = next(iter(shared.values()), None)
+    reference = references(first) if first is not None else {}
+    doubled = {name: double_differences(table, reference) for name, table in shared.items()}
+    return Comparison(
+        figures(found, asked, yardstick.interval_s, yardstick.gross_m) if len(asked) else {},
+        found,
+        availability(found, asked, yardstick.interval_s, yardstick.sections),
+        {name: satellite_table(table) for name, table in doubled.items()},
+        doubled,
+        {name: _clock(table) for name, table in singles.items()},
+        tuple(notes),
+    )
+
+
+def _with_positions(source: Source, yardstick: Yardstick, notes: list[str]) -> Source:
+    if len(source.positions) or source.observations.empty:
+        if source.point != "antenna":
+            notes.append(f"{source.name}: positions are those of the {source.point}")
+        return source
+    if not yardstick.nav.ephemerides:
+        notes.append(f"{source.name}: no positions: the log has none, and there is no NAV file")
+        return source
+    notes.append(f"{source.name}: positions by our single-point solution of its observations")
+    return source._replace(positions=single_point(source.observations, yardstick.nav))
+
+
+def _overlap(found: Mapping[str, pd.DataFrame], asked: Instants) -> Instants:
+    """Instants between the first and the last that every receiver has been running at."""
+    for table in found.values():
+        if len(table):
+            asked = asked[(asked >= table.index.min()) & (asked <= table.index.max())]
+    return asked
+
+
+def _singles(
+    sources: Sequence[Source], yardstick: Yardstick, notes: list[str]
+) -> dict[str, pd.DataFrame]:
+    """Single differences of every receiver with observations against the base."""
+    base, nav = yardstick.base, yardstick.nav
+    if base is None:
+        return {}
+    base_r_e_m = yardstick.base_r_e_m
+    if base_r_e_m is None:
+        base_r_e_m = at_rest(single_point(base, nav))
+        notes.append("base: its file has no position: the median of its own single-point solutions")
+    if base_r_e_m is None:
+        raise InputFileError("--base: no position in its header, and none found with this NAV file")
+    of_base = modelled_errors(base, base_r_e_m, nav)
+    singles = {}
+    for source in sources:
+        if source.observations.empty:
+            continue
+        antenna = yardstick.truth if yardstick.truth is not None else base_r_e_m
+        singles[source.name] = between(modelled_errors(source.observations, antenna, nav), of_base)
+    if yardstick.truth is None and singles:
+        notes.append("no truth: rovers are taken to be at the base's antenna (zero baseline)")
+    return singles
+
+
+def _clock(single: pd.DataFrame) -> Clock:
+    total_m = single["code_m"] + SPEED_OF_LIGHT_MPS * single["clock_s"]
+    median_m = float(total_m.median())
+    spread_m = 1.4826 * float(
+        (total_m - median_m).abs().median()
+    )  # jumps of a channel are no noise
+    return Clock(median_m, spread_m, len(total_m))
+
+
+def read_sections(path: Path) -> tuple[Section, ...]:
+    """Read sections of the way: CSV with name, from_tow_s, to_tow_s.
+
+    Raises InputFileError: it cannot be read, or a column is missing.
+    """
+    try:
+        frame = pd.read_csv(path)
+        return tuple(
+            Section(str(name), float(start), float(end))
+            for name, start, end in zip(
+                frame["name"], frame["from_tow_s"], frame["to_tow_s"], strict=True
+            )
+        )
+    except (OSError, ValueError, KeyError) as error:
+        raise InputFileError(
+            f"{path}: not a CSV of name, from_tow_s, to_tow_s: {str(error).splitlines()[0]}"
+        ) from error
