@@ -64,7 +64,7 @@ class Profile:
     first: float
     step: float
     ahead: float
-    cycles: FloatArray  # since the first point
+    cycles: Sequence[float]  # since the first point
     clock_hz: float  # what the receiver's clock adds to its Doppler
 
     def __call__(self, sample: int) -> AidingRate:
@@ -80,9 +80,9 @@ class Profile:
         return AidingRate(mean_hz - 0.5 * AHEAD_S * rate_hzps, rate_hzps, self.clock_hz)
 
     def _at(self, place: float) -> float:
-        values, last = self.cycles, self.cycles.size - 1
-        k = min(max(int(place), 0), last - 1)
-        return float(values[k] + (place - k) * (values[k + 1] - values[k]))
+        values = self.cycles
+        k = min(max(int(place), 0), len(values) - 2)
+        return values[k] + (place - k) * (values[k + 1] - values[k])
 
 
 def motion_over(
@@ -232,7 +232,7 @@ class Aider:
                 first=(start_s + clock.error_s(start_s)) * listener.rate_hz,
                 step=step_s * listener.rate_hz,
                 ahead=AHEAD_S / step_s,
-                cycles=np.append(0.0, np.cumsum(one_mps)) * (-step_s / wavelength_m),
+                cycles=(np.append(0.0, np.cumsum(one_mps)) * (-step_s / wavelength_m)).tolist(),
                 clock_hz=-drift_sps * carrier_hz,
             )
         return made

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -50,6 +51,8 @@ _GEOSTATIONARY: Final = frozenset(map(BDS_B1I_D2.satellite, BDS_B1I_D2.prns))
 _GEO_TILT_RAD: Final = float(np.radians(-5.0))
 
 MINIMUM_ELEVATION_KNOWN_M: Final = 1.0e6
+_TRAVEL_S: Final = 0.075  # of a signal, roughly
+_AT_REST: Final = np.zeros(3)
 """Distance from the geocentre below which a position has no meaningful horizon."""
 
 
@@ -107,6 +110,8 @@ _ELEMENTS: Final = (
     "group_delay_s",
 )
 
+_elements = attrgetter(*_ELEMENTS)
+
 
 def satellite_states(
     ephemerides: Sequence[Ephemeris], reference: GpsTime, offset_s: FloatArray
@@ -123,7 +128,7 @@ def satellite_states(
     inclined plane in a frame that does not turn, brought back by 5° and the earth's rotation
     since toe); velocity by differentiating them; clock 20.3.3.3.3.1, 5.2.4.10.
     """
-    table = np.array([[getattr(e, name) for name in _ELEMENTS] for e in ephemerides]).T
+    table = np.array([_elements(e) for e in ephemerides]).T
     (sqrt_a, ecc, m0, delta_n, omega0, omega, omega_dot, i0, idot) = table[:9]
     (cuc, cus, crc, crs, cic, cis, af0, af1, af2, group_delay_s) = table[9:]
     constants = np.array([SYSTEMS[e.satellite[0]] for e in ephemerides]).T
@@ -262,13 +267,14 @@ def predict(
 
     Parameters: antenna position (3,) and velocity (3,) at `time`.
     """
-    travel_s = np.full(len(ephemerides), 0.075)
+    guess_s = np.full(len(ephemerides), _TRAVEL_S)
+    states = satellite_states(ephemerides, time, -guess_s)
+    sight = line_of_sight(r_e_m, _AT_REST, states)
+    # The guess is wrong by up to 70 ms, in which a range rate of 1 km/s changes by 0.04 m/s.
+    light_s = sight.range_m / SPEED_OF_LIGHT_MPS
+    travel_s = light_s + sight.range_rate_mps / SPEED_OF_LIGHT_MPS * (guess_s - light_s)
     states = satellite_states(ephemerides, time, -travel_s)
     sight = line_of_sight(r_e_m, v_e_mps, states)
-    for _ in range(2):  # 4 km/s over a travel time first wrong by 20 ms, then by 0.1 µs
-        travel_s = sight.range_m / SPEED_OF_LIGHT_MPS
-        states = satellite_states(ephemerides, time, -travel_s)
-        sight = line_of_sight(r_e_m, v_e_mps, states)
     azimuth, elevation = directions(r_e_m, sight)
     clock_s = states.clock_s - states.group_delay_s
     rate = sight.range_rate_mps

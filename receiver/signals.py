@@ -18,7 +18,7 @@ and GEO satellites D2 (no secondary code, 2 ms). What may be relied on:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Final, NamedTuple
 
@@ -58,35 +58,28 @@ class Signal:
     # what they leave in a search for weak satellites.
     relatives: tuple[int, ...] = ()
 
-    @property
-    def period_s(self) -> float:
-        """Length of one code period, s."""
-        return self.id.code_chips / self.id.chip_rate_hz
+    # What follows from these, worked out once: every update of every channel asks for it.
+    period_s: float = field(init=False)  # of one code period
+    symbol_s: float = field(init=False)  # of one navigation symbol
+    update_periods: int = field(
+        init=False
+    )  # of an undivided loop update: a symbol, or 20 ms of them
+    update_s: float = field(init=False)
+    secondary: FloatArray = field(init=False, compare=False)  # ±1 by code period of a symbol
+    carrier_to_code: float = field(init=False)  # carrier cycles per chip: 1540 for L1, 763 for B1I
 
-    @property
-    def symbol_s(self) -> float:
-        """Length of one navigation symbol, s."""
-        return self.symbol_periods * self.period_s
+    def __post_init__(self) -> None:
+        def take(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
 
-    @property
-    def update_periods(self) -> int:
-        """Code periods of an undivided loop update: a symbol, or the short ones that fill 20 ms."""
-        return self.symbol_periods * max(1, round(_UPDATE_S / self.symbol_s))
-
-    @property
-    def update_s(self) -> float:
-        """Length of an undivided loop update, s."""
-        return self.update_periods * self.period_s
-
-    @property
-    def secondary(self) -> FloatArray:
-        """Secondary chips of a symbol's code periods, ±1; all 1 where there is no such code."""
-        return np.array(self.secondary_code or (1,) * self.symbol_periods, dtype=np.float64)
-
-    @property
-    def carrier_to_code(self) -> float:
-        """Carrier cycles per chip: 1540 for GPS L1, 763 for B1I."""
-        return self.id.carrier_hz / self.id.chip_rate_hz
+        take("period_s", self.id.code_chips / self.id.chip_rate_hz)
+        take("symbol_s", self.symbol_periods * self.period_s)
+        take("update_periods", self.symbol_periods * max(1, round(_UPDATE_S / self.symbol_s)))
+        take("update_s", self.update_periods * self.period_s)
+        chips = np.array(self.secondary_code or (1,) * self.symbol_periods, dtype=np.float64)
+        chips.flags.writeable = False
+        take("secondary", chips)
+        take("carrier_to_code", self.id.carrier_hz / self.id.chip_rate_hz)
 
     def satellite(self, prn: int) -> str:
         """RINEX satellite name of a PRN, e.g. G05."""
