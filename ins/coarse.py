@@ -74,6 +74,22 @@ class CoarseAttitude(NamedTuple):
     forward: bool
 
 
+class MotionAttitude(NamedTuple):
+    """Attitude at the first instant of a track, with the pairs it was found from."""
+
+    alpha_0_mps: FloatArray  # (m, 3) specific force summed up, its mean taken off
+    beta_n_mps: FloatArray  # (m, 3) velocities less their fall and mean
+    weight: FloatArray  # (m,)
+    C_n0: FloatArray  # (3, 3)
+    yaw_sigma_rad: float
+
+    @property
+    def misfit(self) -> float:
+        """Weighted sum of the squares of β − Cα."""
+        left = self.beta_n_mps - self.alpha_0_mps @ self.C_n0.T
+        return float(self.weight @ np.sum(left**2, axis=1))
+
+
 class Heading(NamedTuple):
     """Yaw that is to be added, from courses."""
 
@@ -141,6 +157,20 @@ def free_fall_mps2(lat_rad: float, height_m: float, v_n_mps: FloatArray) -> Floa
     return gravity - np.cross(2.0 * ie + en, v_n_mps)
 
 
+def attitude_by_motion(
+    track: Track, felt: Reckoned, fall_n_mps2: FloatArray, gyro_bias_radps: float
+) -> MotionAttitude:
+    """Attitude at the start of a track by velocities alone; parameters as of `from_motion`."""
+    passed_s = (track.time_s - track.time_s[0])[:, np.newaxis]
+    # What a gyro bias bends off the line through the velocities: ½·g·b·t² less its best line.
+    bent_mps = 9.8 * gyro_bias_radps * float(passed_s[-1, 0]) ** 2 / (2.0 * np.sqrt(180.0))
+    weight = 1.0 / (track.sigma_mps**2 + MODEL_MPS**2 + bent_mps**2)
+    alpha = _centred(felt.gained_0_mps, weight)
+    beta = _centred(track.v_n_mps - passed_s * fall_n_mps2, weight)
+    C = _rotation_between(alpha, beta, weight)
+    return MotionAttitude(alpha, beta, weight, C, _yaw_sigma(_information(alpha @ C.T, weight)))
+
+
 def from_motion(
     track: Track,
     felt: Reckoned,
@@ -153,14 +183,8 @@ def from_motion(
     Parameters: what velocity gains without specific force (3,), NED; 1σ of a bias still in the
     gyros; yaw of the body axes against the vehicle's forward axis.
     """
-    passed_s = (track.time_s - track.time_s[0])[:, np.newaxis]
-    # What a gyro bias bends off the line through the velocities: ½·g·b·t² less its best line.
-    bent_mps = 9.8 * gyro_bias_radps * float(passed_s[-1, 0]) ** 2 / (2.0 * np.sqrt(180.0))
-    weight = 1.0 / (track.sigma_mps**2 + MODEL_MPS**2 + bent_mps**2)
-    alpha = _centred(felt.gained_0_mps, weight)
-    beta = _centred(track.v_n_mps - passed_s * fall_n_mps2, weight)
-    C = _rotation_between(alpha, beta, weight)
-    yaw_sigma_rad = _yaw_sigma(_information(alpha @ C.T, weight))
+    found = attitude_by_motion(track, felt, fall_n_mps2, gyro_bias_radps)
+    alpha, beta, weight, C, yaw_sigma_rad = found
 
     heading = heading_by_course(track, felt, C, yaw_sigma_rad, mounting_yaw_rad)
     if isinstance(heading, str):

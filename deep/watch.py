@@ -1,0 +1,197 @@
+"""Is the inertial navigation to be trusted with the loops? And if not, what is wrong with it.
+
+A log with wrong axes, of another drive, or worse than its grade says makes a navigation that
+contradicts the fixes. The watch holds every innovation against what the filter expects of it; in
+doubt the receiver runs unaided, and gets its aid back once the navigation has been consistent for a
+while. The while grows with every time it failed, so that a log that is right by chance now and then
+does not flap.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from deepgnss.core.records import FloatArray, ImuGrade
+from deepgnss.core.time import GpsTime
+from deepgnss.ins.updates import Innovation
+
+PATIENCE_S: Final = 2.0
+"""Of consistency before the first trust; three times as long after each loss of it."""
+
+LONGEST_PATIENCE_S: Final = 180.0
+
+FASTEST_SIGMA_MPS: Final = 0.2
+"""1σ of the antenna's velocity (per axis) with which aiding may begin: 1 Hz of carrier."""
+
+_REFUSED = 5.4  # NIS per degree of freedom: 0.1 % of three degrees
+_CAP = 10.0  # one wild fix is not a wrong log
+_PLACING = ("position", "velocity", "pseudorange", "range rate")
+
+
+class Limit(NamedTuple):
+    """Trust ends where the mean strain over a time exceeds a value."""
+
+    seconds: float
+    epochs: int  # at least, to count
+    strain: float
+
+
+LIMITS: Final = (Limit(1.0, 3, 4.0), Limit(10.0, 10, 2.5), Limit(60.0, 30, 1.6))
+"""Strain is NIS per degree of freedom: 1 for a consistent filter, less where σ are generous."""
+
+_CONSISTENT = 1.3  # mean strain with which patience is rewarded
+
+
+class Turn(NamedTuple):
+    """The watch changed its mind."""
+
+    time: GpsTime
+    trusted: bool
+    reason: str
+
+
+@dataclass(slots=True)
+class Watch:
+    """Innovations in, trust out."""
+
+    trusted: bool = False
+    distrusts: int = 0  # how often trust, or the navigation itself, was lost by contradiction
+    _strains: deque[tuple[GpsTime, float]] = field(default_factory=deque)
+    _since: GpsTime | None = None  # consistent from then on
+
+    @property
+    def patience_s(self) -> float:
+        """Consistency it takes to be trusted."""
+        return min(PATIENCE_S * 3.0**self.distrusts, LONGEST_PATIENCE_S)
+
+    def restart(self, *, contradicted: bool) -> None:
+        """The navigation stopped or starts anew; contradicted: because fixes said otherwise."""
+        if contradicted and self.trusted:
+            self.distrusts += 1
+        self.trusted = False
+        self._strains.clear()
+        self._since = None
+
+    def take(self, innovations: Sequence[Innovation], velocity_sigma_mps: float) -> list[Turn]:
+        """Take innovations in, in order of time; where trust began or ended.
+
+        velocity_sigma_mps: 1σ per axis of the antenna's velocity as it stands.
+        """
+        turns = []
+        for time, strain in _by_epoch(innovations):
+            self._strains.append((time, strain))
+            while time.since(self._strains[0][0]) > LIMITS[-1].seconds:
+                self._strains.popleft()
+            worst = self._exceeded(time)
+            if worst:
+                self._since = None
+                if self.trusted:
+                    turns.append(Turn(time, False, worst))
+                    self.trusted = False
+                    self.distrusts += 1
+            elif self._since is None:
+                self._since = time
+        if self._ripe(velocity_sigma_mps) and self._strains:
+            reason = f"consistent for {self.patience_s:.0f} s"
+            self.trusted = True
+            turns.append(Turn(self._strains[-1][0], True, reason))
+        return turns
+
+    def _ripe(self, velocity_sigma_mps: float) -> bool:
+        if self.trusted or self._since is None or velocity_sigma_mps > FASTEST_SIGMA_MPS:
+            return False
+        now = self._strains[-1][0]
+        since_s = now.since(self._since)
+        strain, epochs = self._mean(now, min(since_s, LIMITS[-1].seconds))
+        return since_s >= self.patience_s and epochs >= LIMITS[0].epochs and strain <= _CONSISTENT
+
+    def _exceeded(self, now: GpsTime) -> str:
+        """The limit that the strain exceeds, in words; empty: none."""
+        for limit in LIMITS:
+            strain, epochs = self._mean(now, limit.seconds)
+            if epochs >= limit.epochs and strain > limit.strain:
+                return (
+                    f"innovations of the last {limit.seconds:.0f} s are"
+                    f" {math.sqrt(strain):.1f}{'+' if strain >= 0.99 * _CAP else ''} times what the"
+                    " navigation expects"
+                )
+        return ""
+
+    def _mean(self, now: GpsTime, seconds: float) -> tuple[float, int]:
+        inside = [strain for time, strain in self._strains if now.since(time) <= seconds]
+        return (float(np.mean(inside)), len(inside)) if inside else (0.0, 0)
+
+
+def _by_epoch(innovations: Sequence[Innovation]) -> list[tuple[GpsTime, float]]:
+    """Strain of each instant: by kind the median over its measurements, the worst of the kinds."""
+    epochs: dict[float, tuple[GpsTime, dict[str, list[float]]]] = {}
+    for i in innovations:
+        if i.kind in _PLACING:
+            first = next(iter(epochs.values()))[0] if epochs else i.time
+            _, kinds = epochs.setdefault(round(i.time.since(first), 4), (i.time, {}))
+            kinds.setdefault(i.kind, []).append(i.nis / i.innovation.size)
+    return [
+        (time, min(max(float(np.median(values)) for values in kinds.values()), _CAP))
+        for time, kinds in epochs.values()
+    ]
+
+
+# --- what is wrong -------------------------------------------------------------------------------
+
+_AXES = (("forward", "backward"), ("right", "left"), ("down", "up"))
+_ALONG = 0.7  # share of the direction of travel along an axis that is not the forward one
+_BEYOND = 4.0  # times the grade's own σ
+
+
+def travel_finding(forward_b: Sequence[FloatArray], mounting_yaw_rad: float) -> str:
+    """What directions of travel in body axes say of the axes; empty: nothing wrong."""
+    told = [f for f in forward_b if np.any(f)]
+    if not told:
+        return ""
+    mean = np.median(told, axis=0)
+    vehicle = np.array([math.cos(mounting_yaw_rad), -math.sin(mounting_yaw_rad), 0.0])
+    axis = int(np.abs(mean).argmax())
+    if abs(float(mean @ vehicle)) > _ALONG or abs(mean[axis]) < _ALONG:
+        return ""
+    return f"it travels along its {_AXES[axis][int(mean[axis] < 0.0)]} axis: imu.axes?"
+
+
+def bias_finding(
+    gyro_bias_radps: FloatArray, accel_bias_mps2: FloatArray, grade: ImuGrade, run_s: float
+) -> str:
+    """Biases far beyond what the grade allows for after a run; empty: within it."""
+    pairs = (
+        (
+            "gyros",
+            gyro_bias_radps,
+            math.hypot(
+                grade.gyro_bias_radps,
+                _walked(grade.gyro_drift_radps2_rthz, grade.gyro_drift_time_s, run_s),
+            ),
+        ),
+        (
+            "accelerometers",
+            accel_bias_mps2,
+            math.hypot(
+                grade.accel_bias_mps2,
+                _walked(grade.accel_drift_mps3_rthz, grade.accel_drift_time_s, run_s),
+            ),
+        ),
+    )
+    found = [
+        f"{float(np.abs(bias).max()) / sigma:.0f} times those of its grade in the {name}"
+        for name, bias, sigma in pairs
+        if float(np.abs(bias).max()) > _BEYOND * sigma
+    ]
+    return f"biases of {' and '.join(found)}: imu.grade?" if found else ""
+
+
+def _walked(drift: float, time_s: float, run_s: float) -> float:
+    """1σ of a first-order Gauss–Markov drift some time after it was zero."""
+    return drift * math.sqrt(0.5 * time_s * -math.expm1(-2.0 * run_s / time_s))
