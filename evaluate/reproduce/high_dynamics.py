@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+import numpy as np
+
+from deepgnss.core.constants import STANDARD_GRAVITY_MPS2
 from deepgnss.core.records import Epoch, Event
 from deepgnss.evaluate.reproduce.sampled_truth import SampledTruth
 from deepgnss.evaluate.reproduce.table import Figure
 from deepgnss.evaluate.reproduce.weak_ranges import CHIP_M
 from deepgnss.evaluate.reproduce.whole_receiver import Recording, recorded, started, with_unit
 from deepgnss.receiver.modes import Mode
+from deepgnss.sim.schema import PUBLISHED, load_scenario
+from deepgnss.sim.schema.inertial import ImuLogConfig
 
 WINDOW_S: Final = 0.32
 OFF_HZ: Final = 0.5 / WINDOW_S  # within the window's line
 OFF_CHIPS: Final = 0.1
 _SETTINGS: Final = (
-    "imu.alignment={method: config, roll: 0.0, pitch: 30.0, yaw: 60.0}",  # as the unit starts
     f"tracking.frequency={{window: {WINDOW_S}}}",
     "output.interval=0.1",
 )
 _AFTER_S: Final = 2.0  # six windows: what has been lost does not come back by itself
-_HARD_MPS2: Final = 100.0  # steps that count
+_HARD_MPS2: Final = 40.0  # steps that count
+_LIMITS_G: Final = (5, 10, 25, 50, 100)  # at which the lesser unit is tried
 _LOST: Final = frozenset({Mode.HOLD.value, Mode.LOST.value, "acquired", "false lock"})
 _QUICK_S: Final = 48.0
 
@@ -56,9 +62,25 @@ def manoeuvres(recording: Recording) -> list[Manoeuvre]:
     found = []
     for (begin_s, value), (back_s, _) in zip(trajectory.steps, trajectory.steps[1:], strict=False):
         end_s = back_s + abs(value) / trajectory.jerk
-        if abs(value) > _HARD_MPS2 and end_s + _AFTER_S + 0.5 < config.seconds:
+        if abs(value) >= _HARD_MPS2 and end_s + _AFTER_S + 0.5 < config.seconds:
             found.append(Manoeuvre(begin_s, end_s))
     return found
+
+
+def _alignment(recording: Recording, grade: str) -> str:
+    """The attitude the unit is told at the start: the true one and the errors of its grade."""
+    config = recording.simulation.config
+    trajectory = config.trajectory.steps
+    if trajectory is None:
+        raise ValueError(f"{config.name}: no trajectory by steps of acceleration")
+    unit = ImuLogConfig.model_validate({"grade": grade}).grade
+    if unit is None:
+        raise ValueError(f"{grade}: no grade of inertial units")
+    sigma = unit.build()
+    deg = np.degrees(np.random.default_rng(config.seed).standard_normal(3))
+    angles = np.array([0.0, trajectory.elevation, trajectory.azimuth])  # forward along the way
+    roll, pitch, yaw = angles + deg * [sigma.tilt_rad, sigma.tilt_rad, sigma.heading_rad]
+    return f"imu.alignment={{method: config, roll: {roll}, pitch: {pitch}, yaw: {yaw}}}"
 
 
 def outcomes(recording: Recording, grade: str) -> list[Outcome]:
@@ -66,7 +88,8 @@ def outcomes(recording: Recording, grade: str) -> list[Outcome]:
     truth = SampledTruth(recording)
     epochs: dict[int, Epoch] = {}
     events: list[Event] = []
-    with started(recording, *_SETTINGS, *with_unit(recording, grade)) as run:
+    unit = (*with_unit(recording, grade), _alignment(recording, grade))
+    with started(recording, *_SETTINGS, *unit) as run:
         for result in run.engine.steps():
             events += result.events
             epochs.update(
@@ -96,24 +119,45 @@ def outcomes(recording: Recording, grade: str) -> list[Outcome]:
 
 
 def measure(quick: bool, seeds: Sequence[int]) -> list[Figure]:
-    """Shares tracked; FSAS is judged; quick: the acceleration alone, one seed."""
-    grades = ("FSAS",) if quick else ("FSAS", "MTi-G")
-    found: dict[str, list[Outcome]] = {grade: [] for grade in grades}
-    for seed in seeds[:1] if quick else seeds:
-        short = (f"seconds={_QUICK_S}",) if quick else ()
+    """Shares tracked: FSAS at 100 g is judged, MTi-G's limit shown; quick: one acceleration."""
+    chosen = seeds[:1] if quick else seeds
+    short = (f"seconds={_QUICK_S}",) if quick else ()
+    found: list[Outcome] = []
+    for seed in chosen:
         with recorded("hundred_g", seed, *short) as recording:
-            for grade in grades:
-                found[grade] += outcomes(recording, grade)
-    return [_figure(grade, runs, judged=grade == "FSAS") for grade, runs in found.items()]
+            found += outcomes(recording, "FSAS")
+    figures = [_figure("FSAS", 100, found, judged=True)]
+    if quick:
+        return figures
+    for g in _LIMITS_G:
+        with recorded("hundred_g", seeds[0], _scaled(g)) as recording:
+            figures.append(_figure("MTi-G", g, outcomes(recording, "MTi-G"), judged=False))
+    return figures
 
 
-def _figure(grade: str, runs: Sequence[Outcome], *, judged: bool) -> Figure:
+def _scaled(g: int) -> str:
+    """The scenario's steps with hard ones of so many g instead."""
+    trajectory = load_scenario(PUBLISHED + "hundred_g").trajectory.steps
+    if trajectory is None:
+        raise ValueError("hundred_g: no trajectory by steps of acceleration")
+    g_mps2 = g * STANDARD_GRAVITY_MPS2
+    steps = [
+        [
+            second,
+            value if abs(value) < _HARD_MPS2 else math.copysign(g_mps2, value),
+        ]
+        for second, value in trajectory.steps
+    ]
+    return f"trajectory.steps.steps={steps}"
+
+
+def _figure(grade: str, g: int, runs: Sequence[Outcome], *, judged: bool) -> Figure:
     held = [run for run in runs if not run.lost]
     tracked = sum(run.tracked for run in runs)
     hz = max((abs(run.off_hz) for run in held), default=0.0)
     chips = max((abs(run.off_chips) for run in held), default=0.0)
     return Figure(
-        f"{grade}: tracked after 100 g for 1 s",
+        f"{grade}: tracked after {g} g",
         f"{tracked} of {len(runs)}; largest {hz:.2f} Hz of {OFF_HZ:.2f}, {chips:.3f} chip",
         tracked == len(runs) if judged else None,
     )

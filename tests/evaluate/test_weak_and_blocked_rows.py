@@ -66,7 +66,7 @@ def test_manoeuvres_hold_100_g_for_a_second_and_end_with_the_jerk(tmp_path: Path
     recording = _recording("hundred_g", tmp_path)
     vehicle = recording.scenario.vehicle
     found = manoeuvres(recording)
-    assert len(found) == 2
+    assert len(found) == 4
     for begin_s, end_s in found:
         assert end_s - begin_s == pytest.approx(3.0)
         t_s = np.arange(begin_s - 0.5, end_s + 0.5, 0.01)
