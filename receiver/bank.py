@@ -216,15 +216,15 @@ class Bank:
         """Settle half cycles by symbols that an earlier pass has decoded."""
         for channel in self.channels.values():
             known = self._known.get(channel.satellite)
-            if known is not None and channel.half_cycle is None:
+            if known is not None and (channel.half_cycle is None or channel.unproven):
                 half_cycle = framing.polarity(channel, known)
                 if half_cycle is not None:
                     channel.set_polarity(half_cycle)
 
     def foretell_symbols(self) -> None:
-        """Tell channels that track the frequency alone which symbols come, as far as known."""
+        """Tell channels without a phase of their own which symbols come, as far as known."""
         for prn, channel in self.channels.items():
-            if channel.mode is not Mode.WEAK or channel.anchor is None:
+            if channel.mode not in (Mode.WEAK, Mode.HOLD) or channel.anchor is None:
                 continue
             now = channel.anchor + channel.periods
             ahead = round(_FORETOLD_S / self.signal.period_s)

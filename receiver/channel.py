@@ -69,6 +69,7 @@ from deepgnss.receiver.trackers import (
 )
 from deepgnss.receiver.windows import Windows
 
+_PULLED_IN = 5.0  # over a phase loop's bandwidth: when its frequency is one
 _JUDGED_S = 1.0  # after a signal's return until its loops have shown what was off
 _HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
 
@@ -91,6 +92,13 @@ class Interval(NamedTuple):
     correction: Correction = NO_CORRECTION  # what the interval's correlations said of it …
     middle_s: float = 0.0  # … at its middle, s after the command
     coasting: bool = False  # in open loop, by aiding
+
+
+def _coherent_periods(signal: Signal, coherent_s: float) -> int:
+    """Periods of an interval of a phase loop: a part of a symbol, or whole ones."""
+    symbol = signal.symbol_periods
+    periods = min(round(coherent_s / signal.period_s), signal.update_periods)
+    return periods if periods < symbol else periods // symbol * symbol
 
 
 class Channel:
@@ -139,6 +147,9 @@ class Channel:
         self._margin = 4 + int(2.0 * settings.spacing_chips / self._sample_chips)
         self._history = int(_HISTORY_UPDATES * signal.update_s * sample_rate_hz)
         self._coded = bool(signal.secondary_code)
+        symbols = signal.update_periods // signal.symbol_periods
+        self._secondary = np.tile(signal.secondary, 1 + symbols)[:, np.newaxis]
+        self._coherent_periods = _coherent_periods(signal, settings.coherent_s)
         self._hearing = Hearing(signal)
         self.windows = Windows(signal, settings)
         self._pieces: list[ComplexArray] = []  # of a symbol the lock detectors wait for
@@ -278,11 +289,12 @@ class Channel:
         size = signal.symbol_periods
         if not self._coded and count <= size:
             return self._taken
-        signs = np.resize(np.roll(signal.secondary, (self.edge - self.periods) % size), count)
+        first = (self.periods - self.edge) % size
+        signs = self._secondary[first : first + count]
         if count > size:
-            symbols = (self._taken[:, 1] * signs).reshape(-1, size).sum(axis=1)
-            signs *= np.repeat(decided_signs(symbols), size)
-        return np.asarray(self._taken * signs[:, np.newaxis])
+            symbols = (self._taken[:, 1] * signs[:, 0]).reshape(-1, size).sum(axis=1)
+            signs = signs * np.repeat(decided_signs(symbols), size)[:, np.newaxis]
+        return np.asarray(self._taken * signs)
 
     def _steer(
         self, seen: Accumulated, middle_s: float, end_s: float, aiding: AidingSource
@@ -374,13 +386,7 @@ class Channel:
     @property
     def _full(self) -> int:
         """Periods of an undivided interval; frequency is seen best over whole symbols."""
-        if self.mode is not Mode.PHASE:
-            return self.signal.update_periods
-        symbol = self.signal.symbol_periods
-        periods = min(
-            round(self.settings.coherent_s / self.signal.period_s), self.signal.update_periods
-        )
-        return periods if periods < symbol else periods // symbol * symbol
+        return self._coherent_periods if self.mode is Mode.PHASE else self.signal.update_periods
 
     @property
     def _carrier_tracker(self) -> Tracker:
@@ -420,7 +426,8 @@ class Channel:
             return
         aid, gap = self._aiding, self._gap
         beyond_cycles = turned_cycles - predicted_cycles(aid, elapsed_s)
-        if self.mode is Mode.PHASE and self.phase_valid:
+        pulled_in_s = _PULLED_IN / self.settings.carrier_bandwidth_hz
+        if self.mode is Mode.PHASE and self.phase_valid and self.seconds_in_mode > pulled_in_s:
             self._memory.learn(beyond_cycles / elapsed_s, elapsed_s, faint=False)
         elif self.mode is Mode.WEAK:
             offset_hz = self._carrier.frequency - aid.frequency_hz - aid.clock_hz
@@ -499,13 +506,13 @@ class Channel:
         self._code_offset_hz = 0.0
         past = self.periods * self._length
         self.command = self._command(self.command.sample, led[-1].chips - past)
-        self._rewrite_history({one.sample: one for one in led[:-1]})
+        self._rewrite_history({one.sample: one for one in led[:-1]}, self._gap.carried)
         back_s = self._seconds_since(led[0].sample)
-        return f", open loop from {back_s:.2f} s before"
+        phase = "" if self._vouched_for(2.0) else "out"
+        return f"; from {back_s:.2f} s before open loop with{phase} phase"
 
-    def _rewrite_history(self, led: dict[int, Led]) -> None:
+    def _rewrite_history(self, led: dict[int, Led], carried: bool) -> None:
         """What the loops did since the signal fell was noise: nobody shall observe it."""
-        assert self._gap is not None
         self.history = [
             i
             if (one := led.get(i.command.sample)) is None
@@ -518,7 +525,7 @@ class Channel:
                 ),
                 correction=NO_CORRECTION,
                 code_valid=False,
-                phase_valid=self._gap.carried,
+                phase_valid=carried,
                 coasting=True,
             )
             for i in self.history
@@ -589,7 +596,7 @@ class Channel:
 
     def _look_back(self, edge: int) -> None:
         """Hand the phase of what was heard without phase lock to the phase loop."""
-        seen = self._hearing.look_back(edge, self._carrier)
+        seen = self._hearing.look_back(edge, self._carrier, self._aiding.rate_hzps)
         self.symbols, self.symbols_first, self._carrier = seen
         self._symbol_sum, self._symbol_periods = 0j, 0
 

@@ -5,7 +5,11 @@ Every rule of the state machine is here; the channel carries out what is decided
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
 from typing import NamedTuple, Protocol
+
+from scipy.special import gammainccinv
 
 from deepgnss.receiver.locks import (
     LockState,
@@ -24,7 +28,11 @@ _HYSTERESIS_DB = 2.0  # below the threshold of phase lock before it is given up
 _RETURN_DB = 1.0  # above the threshold of frequency tracking: it is taken up again
 _ABSENT_DB = 7.0  # below that threshold: nothing is there
 _FAINT_S = 2.5  # of frequency tracking before its C/N0 is believed
-_STRONG_DB = 10.0  # above the limit: a signal whose loss is seen by few intervals
+_STRONG_DB = 10.0  # above the limit: a signal whose loss is seen by few intervals …
+_STRONG_AIDED_DB = 6.0  # … and where an open loop bears to be begun in vain
+_EMPTY_DBHZ = 21.0  # of the last intervals: rather nothing there than something faint
+_BACK_INTERVALS = 3  # that must each show a signal …
+_BACK_FALSE = math.exp(-6.0)  # … which noise does in one of so many
 
 
 class Go(NamedTuple):
@@ -67,8 +75,16 @@ class Tracked(Protocol):
         """Since the last change of mode, or what counts as one."""
 
     @property
+    def aided(self) -> bool:
+        """Whether predictions lead its generators."""
+
+    @property
     def coasting(self) -> bool:
-        """Whether it runs on by aiding."""
+        """Whether it runs on by aiding alone."""
+
+    @property
+    def phase_kept(self) -> bool:
+        """Whether it has a phase that was carried on."""
 
 
 def decide(channel: Tracked, period_s: float) -> Verdict:
@@ -81,7 +97,7 @@ def decide(channel: Tracked, period_s: float) -> Verdict:
         settings.frequency_threshold_dbhz,
         lowest_frequency_lock_dbhz(settings.phase_threshold_dbhz),
     )
-    if cn0 > weak + _STRONG_DB:
+    if cn0 > weak + (_STRONG_AIDED_DB if channel.aided else _STRONG_DB):
         fast = min(fast, recent_cn0_dbhz(channel.locks, period_s))
     gone = fast < weak
     match channel.mode:
@@ -171,7 +187,14 @@ def _weak(channel: Tracked, here_s: float, cn0: float) -> Verdict:
 def _hold(channel: Tracked, here_s: float, fast: float, gone: bool, period_s: float) -> Verdict:
     settings = channel.settings
     back = faint_cn0_dbhz(channel.locks, period_s)
-    if not gone and here_s > 0.1 and fast > settings.phase_threshold_dbhz:
+    if channel.coasting and channel.edge is not None:
+        now = recent_cn0_dbhz(channel.locks, period_s, _BACK_INTERVALS)
+        if now > settings.phase_threshold_dbhz:
+            if not _surely_back(channel):
+                return None
+            mode = Mode.PHASE if channel.phase_kept else Mode.FREQUENCY
+            return Go(mode, f"signal back at {now:.1f} dB-Hz")
+    elif not gone and here_s > 0.1 and fast > settings.phase_threshold_dbhz:
         return Go(Mode.FREQUENCY, f"signal back at {fast:.1f} dB-Hz")
     if (
         channel.edge is not None
@@ -188,8 +211,26 @@ def _hold(channel: Tracked, here_s: float, fast: float, gone: bool, period_s: fl
     return None
 
 
+def _surely_back(channel: Tracked) -> bool:
+    """Whether each of the last intervals shows more than noise would."""
+    locks, size = channel.locks, channel.signal.symbol_periods
+    least = _least_signal(channel.signal.update_periods // size) * locks.noise / size
+    latest = locks.recent[-_BACK_INTERVALS:]
+    return len(latest) == _BACK_INTERVALS and min(latest) > least
+
+
+@lru_cache(maxsize=8)
+def _least_signal(symbols: int) -> float:
+    """Mean power of symbols, less that of noise and in its units, that noise alone rarely has."""
+    return float(gammainccinv(symbols, _BACK_FALSE)) / symbols - 1.0
+
+
 def _refuge(channel: Tracked, fast_dbhz: float) -> Mode:
     """Where a channel goes whose signal fell below what phase or FLL need."""
+    if channel.aided:
+        period_s = channel.signal.period_s
+        if recent_cn0_dbhz(channel.locks, period_s, _BACK_INTERVALS) < _EMPTY_DBHZ:
+            return Mode.HOLD
     bearable = fast_dbhz > channel.settings.frequency_threshold_dbhz
     return Mode.WEAK if bearable and channel.edge is not None else Mode.HOLD
 

@@ -74,15 +74,19 @@ class Hearing:
         """Symbols that have told the edge."""
         return self._sync.symbols
 
-    def look_back(self, edge: int, carrier: NcoState) -> LookBack:
-        """Demodulate what was heard; at a symbol edge, so the last symbol ends at the command."""
+    def look_back(self, edge: int, carrier: NcoState, rate_hzps: float) -> LookBack:
+        """Demodulate what was heard; at a symbol edge, so the last symbol ends at the command.
+
+        rate_hzps: at which the carrier's frequency is known to have changed.
+        """
         signal, size = self._signal, self._signal.symbol_periods
         prompts: ComplexArray = np.concatenate(
             [prompts * self._turns(at, prompts.size) for at, prompts in self._prompts]
         )
-        # The generator followed the loop; seen from one frequency the carrier runs straight.
+        # The generator followed the loop; seen from here the carrier runs as it was bound to.
         back_s = signal.period_s * (np.arange(prompts.size) + 0.5 - prompts.size)
-        prompts *= np.exp(-2j * np.pi * (carrier.frequency * back_s + carrier.phase))
+        cycles = carrier.phase + back_s * (carrier.frequency + 0.5 * back_s * rate_hzps)
+        prompts *= np.exp(-2j * np.pi * cycles)
         skip = (edge - self._first) % size
         seen = demodulate(prompts[skip:].reshape(-1, size) @ signal.secondary, signal.symbol_s)
         return LookBack(

@@ -194,15 +194,15 @@ def fast_cn0_dbhz(state: LockState, period_s: float) -> float:
     return _cn0_dbhz(state.fast_signal, state.noise, period_s)
 
 
-def recent_cn0_dbhz(state: LockState, period_s: float) -> float:
-    """C/N0 of the last five intervals alone.
+def recent_cn0_dbhz(state: LockState, period_s: float, intervals: int = _RECENT) -> float:
+    """C/N0 of the last five intervals (or so many) alone.
 
     It falls within 0.1 s where a forgetting average of a strong signal needs half a second, and
     scatters more: for signals far above the limit only.
     """
     if not state.recent:
         return 0.0
-    recent = state.recent[-_RECENT:]
+    recent = state.recent[-intervals:]
     return _cn0_dbhz(sum(recent) / len(recent), state.noise, period_s)
 
 

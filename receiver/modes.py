@@ -25,7 +25,7 @@ TRANSITIONS: dict[Mode, frozenset[Mode]] = {
     Mode.FREQUENCY: frozenset({Mode.PHASE, Mode.WEAK, Mode.HOLD}),
     Mode.PHASE: frozenset({Mode.FREQUENCY, Mode.WEAK, Mode.HOLD}),
     Mode.WEAK: frozenset({Mode.PHASE, Mode.HOLD}),
-    Mode.HOLD: frozenset({Mode.FREQUENCY, Mode.WEAK, Mode.LOST}),
+    Mode.HOLD: frozenset({Mode.PHASE, Mode.FREQUENCY, Mode.WEAK, Mode.LOST}),
     Mode.LOST: frozenset(),
 }
 
@@ -56,6 +56,9 @@ class TrackingSettings:
     frequency_threshold_dbhz: float = 18.0
     lost_after_s: float = 3.0  # without a signal, when nothing else tells where it is …
     open_loop_s: float = 60.0  # … and with aiding
+    # Up to which a phase is carried on in open loop: a Costas loop falls to the next half cycle,
+    # and three σ of 0.08 are a quarter. Where symbols tell whole cycles, twice as far.
+    open_loop_phase_sigma_cycles: float = 0.08
     frequency_bandwidth_hz: float = 1.5
     pull_in_bandwidth_hz: float = 8.0
     pull_in_s: float = 0.12

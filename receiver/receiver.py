@@ -189,13 +189,13 @@ class Receiver:
         return StepResult(first, end, fixes, reports, events, subframes, correlations)
 
     def coast(self, moves: Mapping[str, Coast]) -> None:
-        """Put right phases carried on in open loop, by satellite; to be called after a step.
+        """Put right phases carried on in open loop, by satellite.
 
-        A channel whose signal has come back meanwhile is left to its loop.
+        To be called after every step, also with nothing to move: an open loop keeps its phase for
+        as long as somebody looks after it. A channel whose signal has come back is left to itself.
         """
         for channel in self.channels:
-            if channel.satellite in moves:
-                channel.coast(moves[channel.satellite])
+            channel.coast(moves.get(channel.satellite))
 
     def mend(self, satellite: str, cycles: float | None, reason: str) -> None:
         """Take a cycle slip into account that was found after a step, in its last tags.

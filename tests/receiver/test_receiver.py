@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +19,9 @@ from simulated_sky import (
 )
 
 from deepgnss.core.constants import SECONDS_PER_WEEK
-from deepgnss.core.records import Epoch, NavData, Observation
+from deepgnss.core.records import GPS_L1CA, Epoch, NavData, Observation
 from deepgnss.core.time import GpsTime
+from deepgnss.io.rinex_obs import ObsHeader, RinexObsWriter
 from deepgnss.receiver import lnav
 from deepgnss.receiver.acquisition import AcquisitionSettings
 from deepgnss.receiver.bank import Head
@@ -309,6 +311,46 @@ def test_channels_in_open_loop_are_told_apart_and_can_be_put_right() -> None:
     assert before
     assert after
     assert not set(before) & set(after)
+
+
+@pytest.mark.parametrize("bridged", [True, False])
+def test_a_phase_carried_through_shows_no_slip_in_rinex(bridged: bool, tmp_path: Path) -> None:
+    sky = shared_sky()
+    satellite = next(e.satellite for e in sky.scenario.emitters if e.cn0_dbhz == BLOCKED_1_S)
+    place_e_m = sky.scenario.vehicle.point(np.zeros(1)).r_m[0]
+    knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m)
+    receiver = _receiver(knowledge)
+    feed, aiding = _feed(), {satellite: _truly(sky, satellite)}
+    writer = RinexObsWriter(tmp_path, ObsHeader([GPS_L1CA], 0.1, 7.0, name="test.obs"))
+    off_cycles: dict[float, float] = {}
+    for k in range(70):
+        result = receiver.step({"GPS_L1CA": feed}, k * 260_000, (k + 1) * 260_000, aiding)
+        if bridged:
+            coasting = [o for fix in result.fixes for o in fix.coasting]
+            receiver.coast({o.satellite: Coast(0.0, 0.02) for o in coasting})
+        for fix in result.fixes:
+            if fix.output:
+                writer.write(fix.epoch)
+            for seen in fix.epoch.observations:
+                if seen.satellite == satellite and seen.carrier_valid:
+                    instant = fix.epoch.instant
+                    sample = np.array([instant.sample + instant.fraction])
+                    truth = sky.truth(satellite, sample).carrier_cycles[0]
+                    lag_s = _true_clock().lag_s(to_ns(fix.epoch.time), instant)
+                    off = seen.carrier_cycles - CARRIER_HZ * lag_s + truth
+                    off_cycles[sample[0] / RATE_HZ] = off
+    with writer:
+        pass
+    lines = [x for x in (tmp_path / "test.obs").read_text().splitlines() if x[:3] == satellite]
+    phases = [line[19:35] for line in lines if line[19:33].strip()]
+    gap = next(k for k, t in enumerate(sorted(off_cycles)) if t > 4.5)
+    assert [phase[14] in "13" for phase in phases] == [
+        k == 0 or (k == gap and not bridged) for k in range(len(phases))
+    ]
+    if bridged:
+        off = np.array([off_cycles[t] for t in sorted(off_cycles)])
+        assert np.abs(off - np.median(off)).max() < 0.06
+        assert sorted(off_cycles)[gap] < 5.45
 
 
 def test_arcs_of_a_satellite_found_again_are_new_ones() -> None:
