@@ -77,6 +77,39 @@ def loop_states(
     return states
 
 
+def acceleration_response(time_s: FloatArray, order: int, bandwidth_hz: float) -> FloatArray:
+    """Phase error of a carrier loop after a step of frequency rate, cycles per Hz/s.
+
+    The inverse transform of H_e(s)/s³ for the loops of `core.loops` updated without end: order 2
+    with damping √½, ω = B/0.53, T(4.44); order 3 with H_e = s³/(s³ + 2ωs² + 2ω²s + ω³), ω = 1.2 B,
+    whose poles are −ω and −ω/2 ± jω√¾.
+
+    Parameters: time since the step; one-sided noise bandwidth, Hz.
+    """
+    if order == 2:
+        omega = bandwidth_hz * 4.0 * math.sqrt(2.0) / 3.0
+        t = time_s * (omega / math.sqrt(2.0))
+        response = 1.0 - np.exp(-t) * (np.cos(t) + np.sin(t))
+    elif order == 3:
+        omega = 1.2 * bandwidth_hz
+        t = time_s * omega
+        turn = math.sqrt(0.75) * t
+        swing = np.cos(turn) - np.sin(turn) / math.sqrt(3.0)
+        response = np.exp(-t) - np.exp(-0.5 * t) * swing
+    else:
+        raise ValueError(f"loop order {order}: 2 or 3")
+    return np.asarray(np.where(time_s > 0.0, response, 0.0) / omega**2)
+
+
+def acceleration_peak_cycles(rate_hzps: float, order: int, bandwidth_hz: float) -> float:
+    """Largest phase error after a step of frequency rate: T(4.47) for order 2.
+
+    (1 + e^-π)/ω² = 0.2934/B² there; 0.4045/ω² = 0.2809/B² for order 3, which comes back to zero.
+    """
+    time_s = np.linspace(0.0, 6.0 / bandwidth_hz, 6001)
+    return float(rate_hzps * acceleration_response(time_s, order, bandwidth_hz).max())
+
+
 def root_sum_square(*sigmas: float) -> float:
     """Spread of a sum of independent errors, T(2.24): thermal, vibration, oscillator."""
     return math.hypot(*sigmas)

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given, settings
 
 from deepgnss.theory.tracking_error import (
+    acceleration_peak_cycles,
+    acceleration_response,
     dll_thermal_sigma_chips,
     loop_states,
     pll_thermal_sigma_cycles,
@@ -111,3 +113,34 @@ def test_loop_follows_the_polynomial_of_its_order(order):
     wider = loop_states(beyond, order, 4.0, 0.02)[-1, 0] - beyond[-1]
     assert error < 0.0
     assert error / wider == pytest.approx(2.0**order, rel=0.35)  # lag goes as 1 / bandwidth^order
+
+
+@pytest.mark.parametrize(
+    ("order", "bandwidth_hz", "times_b2"), [(2, 5.0, 0.2934), (2, 10.0, 0.2934), (3, 7.0, 0.2809)]
+)
+def test_peak_after_a_step_of_acceleration(order, bandwidth_hz, times_b2):
+    """Order 2: the number of T(4.47). Its steady error is 1/ω², its bandwidth 0.53 ω."""
+    peak = acceleration_peak_cycles(13.0, order, bandwidth_hz)
+    assert peak == pytest.approx(13.0 * times_b2 / bandwidth_hz**2, rel=1e-3)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize("bandwidth_hz", [5.0, 10.0])
+def test_response_to_acceleration_is_the_one_of_the_loop_run(order, bandwidth_hz):
+    """Updated every 0.1 ms the loops of `core.loops` are those of the transfer functions."""
+    interval_s, count = 1e-4, 10_000
+    edges_s = interval_s * np.arange(count + 1)
+    rate_hzps = 40.0
+    means = np.diff(rate_hzps * edges_s**3 / 6.0) / interval_s
+    errors = means - loop_states(means, order, bandwidth_hz, interval_s)[:, 0]
+    middle_s = edges_s[:-1] + 0.5 * interval_s
+    expected = rate_hzps * acceleration_response(middle_s, order, bandwidth_hz)
+    assert np.abs(errors - expected).max() < 0.01 * expected.max()
+
+
+def test_response_to_acceleration_begins_with_the_step():
+    response = acceleration_response(np.array([-1.0, 0.0, 0.01]), 3, 5.0)
+    assert response[:2].tolist() == [0.0, 0.0]
+    assert response[2] == pytest.approx(0.5 * 0.01**2, rel=0.1)
+    with pytest.raises(ValueError, match="loop order 1"):
+        acceleration_response(np.zeros(1), 1, 5.0)
