@@ -17,6 +17,7 @@ from deepgnss.core.frames import C_ne
 from deepgnss.core.records import Event, FloatArray
 from deepgnss.deep.aiding import AHEAD_S, Aider, Listener, Profile
 from deepgnss.deep.bridging import Bridge, Bridged, Loop, Tag
+from deepgnss.deep.guard import Guard, Unit
 from deepgnss.deep.inertial import (
     alignment_settings,
     coupling_settings,
@@ -27,6 +28,8 @@ from deepgnss.deep.inertial import (
 from deepgnss.deep.navigation import InertialInputs, Navigation, NavigationState
 from deepgnss.deep.screening import Screening, ScreenSettings
 from deepgnss.deep.setup import RunPlan
+from deepgnss.deep.tight import CLOCK_NOISE
+from deepgnss.deep.time_offset import CarrierLoop
 from deepgnss.ins import WheelSpeeds
 from deepgnss.ins.increments import joined
 from deepgnss.ins.integration import SAME_EPOCH_S
@@ -56,6 +59,8 @@ class Navigated(NamedTuple):
     states: tuple[NavigationState, ...] = ()  # at the epoch's tags
     events: tuple[Event, ...] = ()
     innovations: tuple[Innovation, ...] = ()
+    moves: Mapping[str, Coast] = {}  # of channels in open loop at the last tag
+    P: FloatArray | None = None  # of the navigation's errors but position, by the carrier phases
 
 
 class CoupledNavigation:
@@ -66,25 +71,29 @@ class CoupledNavigation:
         navigation: Navigation,
         aider: Aider,
         bridge: Bridge,
+        guard: Guard,
         screening: Screening | None = None,
         notes: tuple[str, ...] = (),
     ) -> None:
         """`notes`: what is odd about the inertial log."""
         self.navigation = navigation
+        self.guard = guard
         self.screening = screening
         self.notes = notes
         self._aider = aider
         self._bridge = bridge
+        self._aided = False  # in the last step
         self._model_drift_sps = 0.0  # of the receiver's clock model in the last step
         self._drift_sps = 0.0  # of its oscillator, as the last solution had it
 
     def before(self, receiver: Receiver, first: int, end: int) -> Aids:
         """Aiding for samples [first, end) of the receiver's first stream."""
         clock = receiver.clock
+        self._aided = False
         if clock is None:
             return NO_AIDS
         self._model_drift_sps = clock.drift_sps
-        if not self.navigation.running:
+        if not (self.navigation.running and self.guard.trusted):
             return self._unaided()
         # The last command of the epoch goes beyond it: an update of increments must be waited for.
         span = (clock.time(first), clock.time(end).plus(AHEAD_S))
@@ -103,6 +112,7 @@ class CoupledNavigation:
         screen = None
         if self.screening is not None:
             screen = self.screening.along(trajectory, self._aider.lever_b_m, receiver.nav)
+        self._aided = bool(profiles)
         return Aids(profiles, (antenna.r_e_m[0], antenna.v_e_mps[0]), screen)
 
     def _unaided(self) -> Aids:
@@ -117,7 +127,7 @@ class CoupledNavigation:
         events: list[Event] = []
         moves: Mapping[str, Coast] = {}
         for fix in result.fixes:
-            found = self.navigation.take([fix])
+            found = self.navigation.take([fix], receiver.nav)
             states += found
             bridged = self._bridged(receiver, fix, found[0] if found else None)
             for slip in bridged.slips:
@@ -130,15 +140,28 @@ class CoupledNavigation:
             moves = bridged.moves
         receiver.coast(moves)  # of the last tag: it saw the generators as they stand
         told, innovations = self.navigation.news()
+        block = self.navigation.block
+        turns = self.guard.take(block, result.fixes, states, told, innovations, aided=self._aided)
         for event in told:
             time = self.navigation.instant(event.time_s)
             sample = clock.instant(to_ns(time)).sample if (clock := receiver.clock) else result.end
             events.append(Event(sample, "INS", event.what, event.reason))
+        for turn in turns:
+            sample = clock.instant(to_ns(turn.time)).sample if (clock := receiver.clock) else 0
+            what = "trusted" if turn.trusted else "distrusted"
+            events.append(Event(sample, "INS", what, turn.reason))
+        if (moved_s := self.guard.correction_s()) is not None:
+            detail = f"log was {self.guard.offset}: {moved_s:+.4f} s"
+            events.append(Event(result.end, "INS", "time offset", detail))
+            self.navigation.shift(moved_s)
+            self.guard.corrected(moved_s)
         for flag in self.screening.news() if self.screening is not None else ():
             sample = clock.instant(to_ns(flag.time)).sample if (clock := receiver.clock) else 0
             what = "range refused" if flag.refused else "range accepted"
             events.append(Event(sample, flag.satellite, what, flag.reason))
-        return Navigated(tuple(states), tuple(events), tuple(innovations))
+        return Navigated(
+            tuple(states), tuple(events), tuple(innovations), moves, self._bridge.errors_covariance
+        )
 
     def _bridged(self, receiver: Receiver, fix: Fix, state: NavigationState | None) -> Bridged:
         """Hold a tag's phases against the way that led to it."""
@@ -148,7 +171,7 @@ class CoupledNavigation:
             self._drift_sps = drift = self._model_drift_sps + solution.drift_sps
             drift_sigma = float(np.sqrt(solution.velocity_covariance_m2ps2[3, 3]))
             drift_sigma /= SPEED_OF_LIGHT_MPS
-        if state is None or clock is None:
+        if state is None or clock is None or not self.guard.trusted:
             return self._bridge.stop(fix.coasting)
         if state.leg is None:
             return Bridged()
@@ -188,10 +211,23 @@ def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNaviga
         wheels = wheel_speeds(speeds)
     last = block.origin.plus(float(block.time_s[-1]))
     found = findings(block, stated_rate_hz=imu.rate, recording=(start, end), last=last)
-    layout = layout_of(config, wheels)
-    settings = replace(coupling_settings(config, block, wheels), keep_epochs=False)
+    tight = config.deep.coupling == "tight"
+    systems = tuple(sorted({covered.id.system for covered in plan.covered}, key="GC".index))
+    layout = layout_of(config, wheels)._replace(systems=systems if tight else ())
+    settings = replace(
+        coupling_settings(config, block, wheels),
+        keep_epochs=False,
+        restart_after=round(config.ins.restart_after / config.deep.epoch),
+        clock=CLOCK_NOISE,
+    )
     inputs = InertialInputs(
-        block, imu.grade.build(), alignment_settings(config, layout), settings, wheels
+        block,
+        imu.grade.build(),
+        alignment_settings(config, layout),
+        settings,
+        wheels,
+        plan.settings.pvt if tight else None,
+        systems,
     )
     notes = (*log.faults, *(f"{log.path}: {line}" for line in found), *faults)
     aider = Aider(plan.settings.pvt, settings.lever_b_m)
@@ -202,4 +238,14 @@ def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNaviga
     if outliers.enabled:
         own = ScreenSettings(outliers.alpha, outliers.threshold)
         screening = Screening(plan.settings.pvt, own, plan.stream.sample_rate_hz)
-    return CoupledNavigation(Navigation(inputs), aider, bridge, screening, notes)
+    unit = Unit(
+        inputs.grade,
+        settings.lever_b_m,
+        inputs.alignment.mounting_yaw_rad,
+        None if imu.time_offset == "auto" else imu.time_offset,
+    )
+    carrier = CarrierLoop(
+        tracking.carrier_order, tracking.carrier_bandwidth_hz, tracking.coherent_s
+    )
+    guard = Guard(unit, carrier)
+    return CoupledNavigation(Navigation(inputs), aider, bridge, guard, screening, notes)

@@ -7,6 +7,7 @@ import numpy as np
 from deepgnss.core.attitude import matrix_from_euler
 from deepgnss.core.errors import ConfigError
 from deepgnss.core.records import ImuBlock
+from deepgnss.deep.tight import clock_sigmas
 from deepgnss.ins import AlignmentSettings, Layout, Settings, Vehicle, WheelSpeeds
 from deepgnss.ins.standstill import standstill_limits
 from deepgnss.io.config import Config
@@ -63,7 +64,10 @@ def alignment_settings(config: Config, layout: Layout) -> AlignmentSettings:
         mounting_yaw_rad=float(np.radians(mounted)),
         layout=layout,
         extras=np.zeros(layout.extras),
-        extra_sigmas=np.full(layout.extras, config.ins.odometer.scale),
+        extra_sigmas=np.append(
+            np.full(int(layout.odometer), config.ins.odometer.scale),
+            clock_sigmas(layout.systems) if layout.systems else [],
+        ),
     )
 
 

@@ -15,8 +15,9 @@ import numpy as np
 
 from deepgnss.core.errors import NumericalError
 from deepgnss.core.frames import C_ne
-from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade
+from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade, NavData
 from deepgnss.core.time import GpsTime
+from deepgnss.deep.tight import range_epoch
 from deepgnss.ins import (
     Alignment,
     AlignmentSettings,
@@ -29,11 +30,13 @@ from deepgnss.ins import (
     process_noise,
 )
 from deepgnss.ins.error_state import difference
-from deepgnss.ins.fixes import with_lasting_errors
+from deepgnss.ins.fixes import lasting_together, with_lasting_errors
 from deepgnss.ins.increments import SAME_INSTANT_S, between
 from deepgnss.ins.integration import Coupling, InsEvent, Instant
 from deepgnss.ins.measurements import Point, body_point
+from deepgnss.ins.ranging import RangeEpoch
 from deepgnss.ins.updates import Innovation
+from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.receiver import Fix
 
 _REMEMBERED_S = 60.0  # fixes kept for an alignment
@@ -52,6 +55,8 @@ class InertialInputs:
     alignment: AlignmentSettings
     settings: Settings
     wheels: WheelSpeeds | None = None
+    ranging: PvtParameters | None = None  # of tight coupling; None: loose, fixes are taken
+    systems: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +68,8 @@ class Leg:
     origin: GpsTime
     moved_e_m: FloatArray  # (3,) antenna
     gained_e_mps: FloatArray  # (3,) in velocity
-    H_begin: FloatArray  # (3, size) slope of the antenna's position (NED) in the errors
-    H_end: FloatArray  # (3, size)
+    H_begin: FloatArray  # (3, inertial) slope of the antenna's position (NED) in the errors
+    H_end: FloatArray  # (3, inertial)
     Phi: FloatArray  # (inertial, inertial) of the errors, from begin to end
     Q: FloatArray
     correction: FloatArray  # (inertial,) by which the tag's fix changed the errors
@@ -90,6 +95,7 @@ class Navigation:
         self._inputs = inputs
         self._noise = process_noise(inputs.grade)
         self._fixes: list[GnssFix] = []
+        self._placed: GpsTime | None = None  # last tag with a position, or ranges for the filter
         self._coupling: Coupling | None = None
         self._not_before_s = -np.inf  # of an alignment, since the block's origin
         self._next_try_s = -np.inf
@@ -101,6 +107,20 @@ class Navigation:
     def running(self) -> bool:
         """Whether there is a navigation now."""
         return self._coupling is not None
+
+    @property
+    def block(self) -> ImuBlock:
+        """The log as it is used."""
+        return self._inputs.block
+
+    def shift(self, seconds: float) -> None:
+        """Move the log in time; the navigation starts anew with the fixes it remembers."""
+        block = self._inputs.block
+        origin = block.origin.plus(seconds)
+        self._inputs = replace(self._inputs, block=replace(block, origin=origin))
+        self._coupling = None
+        self._not_before_s = self._fixes[0].time.since(origin) if self._fixes else -np.inf
+        self._next_try_s = -np.inf
 
     # --- before an epoch ---------------------------------------------------------------------
 
@@ -121,55 +141,78 @@ class Navigation:
 
     # --- after it ----------------------------------------------------------------------------
 
-    def take(self, fixes: Sequence[Fix]) -> list[NavigationState]:
-        """Go on to the tags of an epoch with what they hold; the states there."""
+    def take(self, fixes: Sequence[Fix], nav: NavData | None = None) -> list[NavigationState]:
+        """Go on to the tags of an epoch with what they hold; the states there.
+
+        nav: for the ranges of tight coupling.
+        """
         states = []
         for fix in fixes:
+            apart_s = self._apart_s(fix.epoch.time)
             gnss = fix_of(fix.solution) if fix.solution.valid else None
             if gnss is not None:
-                gnss = self._weighed(gnss)
+                gnss = _weighed(gnss, apart_s)
                 self._remember(gnss)
             time_s = fix.epoch.time.since(self._inputs.block.origin)
             if self._coupling is None:
                 self._align(time_s)
                 continue
             start = self._coupling.antenna()
-            self._go_on(self._coupling, time_s, gnss)
+            ranges = self._ranges(fix, nav, start.r_e_m, apart_s)
+            taken = Instant(time_s, gnss if ranges is None else None, ranges)
+            self._go_on(self._coupling, taken)
             if self._coupling is not None:
                 leg = self._leg(self._coupling, start)
                 states.append(self._state(self._coupling, leg))
         return states
 
-    def _weighed(self, fix: GnssFix) -> GnssFix:
-        """A fix of the receiver's own: errors that last, and a velocity only where it has one."""
-        passed_s = fix.time.since(self._fixes[-1].time) if self._fixes else _LASTING_S
-        if fix.v_n_mps is not None and not np.isfinite(fix.v_n_mps).all():
-            fix = replace(fix, v_n_mps=None, velocity_covariance_n_m2ps2=None)
-        return with_lasting_errors(fix, _LASTING_M, 0.0, _LASTING_S, max(passed_s, 1e-3))
+    def _apart_s(self, time: GpsTime) -> float:
+        """Time since the last tag that said where the antenna is."""
+        apart_s = time.since(self._placed) if self._placed is not None else _LASTING_S
+        return max(apart_s, 1e-3)
 
-    def _go_on(self, coupling: Coupling, time_s: float, gnss: GnssFix | None) -> None:
-        epoch_s = self._inputs.settings.epoch_s
+    def _ranges(
+        self, fix: Fix, nav: NavData | None, r_e_m: FloatArray, apart_s: float
+    ) -> RangeEpoch | None:
+        """A tag's ranges for tight coupling."""
+        inputs = self._inputs
+        if inputs.ranging is None or nav is None or not fix.epoch.observations:
+            return None
+        together = lasting_together(_LASTING_S, apart_s)
+        found = range_epoch(fix, nav, inputs.ranging, r_e_m, inputs.systems, _LASTING_M, together)
+        self._placed = self._placed if found is None else fix.epoch.time
+        return found
+
+    def _go_on(self, coupling: Coupling, taken: Instant) -> None:
+        time_s, epoch_s = taken.time_s, self._inputs.settings.epoch_s
         constrained = round(time_s / epoch_s, 6) % 1.0 == 0.0
         speed = self._speed(coupling.time_s, time_s)
-        failed_s = coupling.through([Instant(time_s, gnss, None, speed, constrained)])
+        instant = taken._replace(speed_mps=speed, constrained=constrained)
+        failed_s = coupling.through([instant])
         self._hand_on(coupling)
         if failed_s is not None:
             self._coupling = None
             self._not_before_s = max(failed_s, time_s)
 
     def _speed(self, after_s: float, until_s: float) -> float | None:
-        """Latest wheel speed of an epoch."""
+        """Wheel speed at the end of an epoch, by the last two, whose own instants lie before."""
         wheels = self._inputs.wheels
         if wheels is None or wheels.time_s.size == 0:
             return None
         shift_s = wheels.origin.since(self._inputs.block.origin)
         k = int(np.searchsorted(wheels.time_s + shift_s, until_s + SAME_INSTANT_S)) - 1
-        if k < 0 or wheels.time_s[k] + shift_s <= after_s:
+        if k < 1 or wheels.time_s[k] + shift_s <= after_s:
             return None
-        return float(wheels.speed_mps[k])
+        (before, last), (slower, speed) = (
+            wheels.time_s[k - 1 : k + 1],
+            wheels.speed_mps[k - 1 : k + 1],
+        )
+        ahead = (until_s - shift_s - last) / (last - before)
+        return float(speed + ahead * (speed - slower)) if speed != 0.0 else 0.0
 
     def _leg(self, coupling: Coupling, start: Point) -> Leg | None:
         way, before, after = coupling.carried, coupling.expected, coupling.estimate
+        inertial = slice(before.layout.inertial)
         if way.omega_ib_b_radps.size == 0:
             return None
         lever_b_m = self._inputs.settings.lever_b_m
@@ -181,11 +224,11 @@ class Navigation:
             way.origin,
             there.r_e_m[1] - there.r_e_m[0],
             there.v_e_mps[1] - there.v_e_mps[0],
-            start.H_position,
-            end.H_position,
+            start.H_position[:, inertial],
+            end.H_position[:, inertial],
             way.Phi,
             way.Q,
-            difference(after.ins, before.ins)[: before.layout.inertial],
+            difference(after.ins, before.ins)[inertial],
             coupling.at_rest(float(way.time_s[-1])),
         )
 
@@ -205,6 +248,7 @@ class Navigation:
     # --- start and stop ----------------------------------------------------------------------
 
     def _remember(self, fix: GnssFix) -> None:
+        self._placed = fix.time
         self._fixes.append(fix)
         while fix.time.since(self._fixes[0].time) > _REMEMBERED_S:
             self._fixes.pop(0)
@@ -264,3 +308,10 @@ class Navigation:
     def instant(self, time_s: float) -> GpsTime:
         """GPST of an event."""
         return self._inputs.block.origin.plus(time_s)
+
+
+def _weighed(fix: GnssFix, apart_s: float) -> GnssFix:
+    """A fix of the receiver's own: errors that last, and a velocity only where it has one."""
+    if fix.v_n_mps is not None and not np.isfinite(fix.v_n_mps).all():
+        fix = replace(fix, v_n_mps=None, velocity_covariance_n_m2ps2=None)
+    return with_lasting_errors(fix, _LASTING_M, 0.0, _LASTING_S, apart_s)

@@ -20,6 +20,16 @@ class GnssFix:
     covariance_n_m2: FloatArray  # (3, 3)
     v_n_mps: FloatArray | None = None  # (3,)
     velocity_covariance_n_m2ps2: FloatArray | None = None  # (3, 3)
+    together: float = 1.0  # so many positions in a row count as one: their covariance has it in
+
+
+def lasting_together(lasting_s: float, apart_s: float) -> float:
+    """Number of measurements that count as one, of errors lasting for τ, taken Δt apart.
+
+    Errors that last for τ leave a mean over T the variance σ²·2τ/T; white ones at a distance Δt
+    would leave R·Δt/T. So many of them count as one with R = σ²·2τ/Δt.
+    """
+    return max(1.0, 2.0 * lasting_s / apart_s)
 
 
 def with_lasting_errors(
@@ -27,12 +37,9 @@ def with_lasting_errors(
 ) -> GnssFix:
     """A fix with errors its σ leaves out, those of position lasting for a while.
 
-    Errors that last for τ leave a mean over T the variance σ²·2τ/T; white ones at a distance Δt
-    would leave R·Δt/T. So many of them count as one with R = σ²·2τ/Δt.
-
     Parameters: 1σ per axis on top of the fix's own; τ; Δt to the next fix.
     """
-    together = max(1.0, 2.0 * lasting_s / apart_s)
+    together = lasting_together(lasting_s, apart_s)
     velocity = fix.velocity_covariance_n_m2ps2
     return replace(
         fix,
@@ -40,6 +47,7 @@ def with_lasting_errors(
         velocity_covariance_n_m2ps2=(
             None if velocity is None else velocity + velocity_mps**2 * np.eye(3)
         ),
+        together=together,
     )
 
 

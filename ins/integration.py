@@ -302,7 +302,9 @@ class Coupling:
             found += ranging.ranges(estimate, antenna, instant.ranges.observations)
         if instant.fix is not None:
             fix = instant.fix
-            found.append(models.position(ins, antenna, fix.r_e_m, fix.covariance_n_m2))
+            found.append(
+                models.position(ins, antenna, fix.r_e_m, fix.covariance_n_m2, fix.together)
+            )
             if fix.v_n_mps is not None and fix.velocity_covariance_n_m2ps2 is not None:
                 found.append(models.velocity(antenna, fix.v_n_mps, fix.velocity_covariance_n_m2ps2))
         if self._stands(instant):

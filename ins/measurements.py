@@ -31,6 +31,8 @@ class Measurement(NamedTuple):
     """z = predicted − measured (m,), its slope H (m, size) in the errors, and R (m, m).
 
     in_body: of the velocity along body axes, see `error_state.turned_along`.
+    together: errors last, so that so many of them count as one: R is that often the measurement's
+    own covariance, by which it is tested.
     """
 
     kind: str
@@ -38,6 +40,7 @@ class Measurement(NamedTuple):
     H: FloatArray
     R: FloatArray
     in_body: bool = False
+    together: float = 1.0
 
 
 class Point(NamedTuple):
@@ -77,11 +80,15 @@ def body_point(
 
 
 def position(
-    ins: InsState, antenna: Point, r_e_m: FloatArray, covariance_n_m2: FloatArray
+    ins: InsState,
+    antenna: Point,
+    r_e_m: FloatArray,
+    covariance_n_m2: FloatArray,
+    together: float = 1.0,
 ) -> Measurement:
     """Antenna position (ECEF, covariance in NED) of a fix, T(2.74)."""
     z = C_ne(ins.lat_rad, ins.lon_rad) @ (antenna.r_e_m - r_e_m)
-    return Measurement("position", z, antenna.H_position, covariance_n_m2)
+    return Measurement("position", z, antenna.H_position, covariance_n_m2, together=together)
 
 
 def velocity(antenna: Point, v_n_mps: FloatArray, covariance_n_m2ps2: FloatArray) -> Measurement:

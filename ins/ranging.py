@@ -32,6 +32,7 @@ class RangeObservation:
     pseudorange_sigma_m: float
     range_rate_mps: float | None = None
     range_rate_sigma_mps: float = 0.0
+    together: float = 1.0  # so many pseudoranges in a row count as one, see `Measurement`
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +70,7 @@ def pseudorange(estimate: Estimate, antenna: Point, observed: RangeObservation) 
         np.array([predicted_m - observed.pseudorange_m]),
         H,
         np.array([[observed.pseudorange_sigma_m**2]]),
+        together=observed.together,
     )
 
 

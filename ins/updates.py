@@ -51,15 +51,16 @@ def updated(estimate: Estimate, measurements: Iterable[Measurement], false_alarm
     """
     x, P, x_turning = np.zeros(estimate.layout.size), estimate.P, np.zeros(3)
     innovations = []
-    for kind, z, H, R, in_body in measurements:
+    for kind, z, H, R, in_body, together in measurements:
         correction = correct(x, P, z, H, R)
-        accepted = correction.nis <= innovation_limit(z.size, false_alarm)
+        nis = correction.nis if together == 1.0 else correct(x, P, z, H, R / together).nis
+        accepted = nis <= innovation_limit(z.size, false_alarm)
         if accepted:
             if in_body:
                 x_turning += correction.x[VELOCITY] - x[VELOCITY]
             x, P = correction.x, correction.P
         innovations.append(
-            Innovation(estimate.ins.time, kind, correction.innovation, correction.nis, accepted)
+            Innovation(estimate.ins.time, kind, correction.innovation, nis, accepted)
         )
     if innovations:
         check_covariance(P)
