@@ -30,8 +30,8 @@ TWO_G_MPS2: Final = 19.613
 
 _FIRST_S: Final = 8.0  # first step: loops settled, navigation aligned
 _EVERY_S: Final = 1.8
-_HELD_S: Final = 0.55  # order 2 at 5 Hz has its peak 0.47 s after a step
-_STEPS, _QUICK_STEPS = 24, 6  # each seen by four satellites
+_HELD_S: Final = 0.5  # order 2 at 5 Hz has its peak 0.47 s after a step
+_STEPS, _QUICK_STEPS = 13, 6  # each seen by four satellites
 _BEFORE_S: Final = 0.2  # error taken for that without a step
 _BIN_S: Final = 0.005
 _SEEN: Final = 0.4  # cosine between motion and line of sight that makes a step count

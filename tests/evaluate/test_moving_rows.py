@@ -155,7 +155,7 @@ def _heard(loop: Loop, response: FloatArray, rates: FloatArray, noise: float) ->
     time_s = np.arange(0.0005, 16.0, loop.coherent_s)
     cycles = 0.01 + noise * rng.standard_normal(time_s.size)
     for begin_s, rate in zip(turns.step_times_s(4), rates, strict=True):
-        after = (time_s >= begin_s) & (time_s < begin_s + 0.55)
+        after = (time_s >= begin_s) & (time_s < begin_s + 0.5)
         cycles[after] += rate / loop.step_hzps * response[: after.sum()]
     return Heard(time_s, cycles)
 
