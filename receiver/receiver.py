@@ -343,15 +343,14 @@ class Receiver:
         date = self._date()
         if date is None:
             return
-        half = SECONDS_PER_WEEK // 2
         heads: dict[tuple[Bank, int], Head] = {
             (bank, prn): head for bank in self.banks for prn, head in bank.present_heads().items()
         }
         anchors: dict[tuple[Bank, int], int] = {}
         origins: dict[tuple[Bank, int], int] = {}
         for key, (channel, _, frame) in heads.items():
-            offset_s = (frame.start_tow_s - date.tow_s + half) % SECONDS_PER_WEEK - half
-            anchors[key] = framing.anchor_of(channel, frame, date.plus(offset_s).week)
+            weeks = round((date.tow_s - frame.start_tow_s) / SECONDS_PER_WEEK)  # the nearest one
+            anchors[key] = framing.anchor_of(channel, frame, date.week + weeks)
             origins[key] = self._origin_ns(key[0], channel, anchors[key])
         for key, origin_ns in origins.items():
             (bank, prn), (channel, _, frame) = key, heads[key]

@@ -175,6 +175,8 @@ def test_heads_are_believed_when_confirmed_or_seen_by_three(
     ("near", "start_tow_s", "week"),
     [
         (GpsTime(2290, 604_790.0), 0, 2291),
+        (GpsTime(2290, 604_799.9999999), 0, 2291),
+        (GpsTime(2291, 1e-9), 0, 2291),
         (GpsTime(2290, 604_790.0), 604_794, 2290),
         (GpsTime(2291, 5.0), 604_794, 2290),
         (GpsTime(2291, 5.0), 6, 2291),
