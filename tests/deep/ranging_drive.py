@@ -1,4 +1,4 @@
-"""A drive without samples: the simulator's ranges and increments, and a navigation fed with them."""
+"""A drive without samples: the simulator's ranges and increments, and a navigation that has them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,6 @@ from deepgnss.sim.sky import elevations
 
 START = GpsTime(2290, 382_300.0)
 LEVER_M = (0.4, 0.1, -1.2)
-STEP_S = 0.1
 RATE_HZ = 4e6
 BETWEEN_M = 100.0  # BeiDou's clock ahead of GPS time
 DRIFT_SPS = 1.5e-7  # of the counter; tags follow it but for 3 cm/s
@@ -92,7 +91,10 @@ class World:
 
 @lru_cache(maxsize=4)
 def world(
-    seconds: float = 70.0, grade: str = "MTi-G", coupling: Literal["loose", "tight"] = "loose"
+    seconds: float = 45.0,
+    coupling: Literal["loose", "tight"] = "loose",
+    step_s: float = 0.2,
+    grade: str = "MTi-G",
 ) -> World:
     """Rounds of 10 m/s; ten satellites of both systems."""
     path = Ellipse(150.0, 100.0, smooth_profile([(0.0, 0.1)]))
@@ -107,7 +109,7 @@ def world(
     )
     scenario = Scenario("tags", START, seconds, vehicle, emitters, nav, ())
     scenario = replace(scenario, antennas=(scenario.antennas[0]._replace(lever_b_m=LEVER_M),))
-    times_s = np.arange(5, round(seconds / STEP_S)) * STEP_S
+    times_s = np.arange(3, round(seconds / step_s)) * step_s
     random = np.random.default_rng(5)
     ranges, dopplers = [], []
     for emitter in emitters:
@@ -134,14 +136,10 @@ def world(
         extras=np.zeros(layout.extras),
         extra_sigmas=clock_sigmas(systems) if systems else np.zeros(0),
     )
-    settings = Settings(
-        np.array(LEVER_M), keep_epochs=False, restart_after=100, clock=CLOCK_NOISE
-    )
+    settings = Settings(np.array(LEVER_M), keep_epochs=False, restart_after=100, clock=CLOCK_NOISE)
     tight = PARAMETERS if systems else None
     inputs = InertialInputs(block, unit, alignment, settings, None, tight, systems)
-    return World(
-        names, nav, vehicle, inputs, times_s, np.array(ranges).T, np.array(dopplers).T
-    )
+    return World(names, nav, vehicle, inputs, times_s, np.array(ranges).T, np.array(dopplers).T)
 
 
 @dataclass
@@ -174,9 +172,7 @@ class Driven:
         return self.error_n_m[int(np.searchsorted(self.time_s, time_s - 1e-6))]
 
 
-def drive(
-    given: World, fault: Fault = sound, settings: ScreenSettings | None = None
-) -> Driven:
+def drive(given: World, fault: Fault = sound, settings: ScreenSettings | None = None) -> Driven:
     """Run navigation, outlier test and positions through all tags, as the engine does."""
     navigation = Navigation(given.inputs)
     screening = Screening(PARAMETERS, settings or ScreenSettings(), RATE_HZ)
