@@ -33,7 +33,8 @@ _WINDOW_S: Final = 0.45  # … time for which it is looked at before it is judge
 _LATEST_S: Final = 1.5  # … and after which it is, settled or not
 _LAST: Final = 3  # tags that judge
 _SETTLED_CYCLES: Final = 0.1  # by which they differ once a loop has slipped
-_CERTAIN: Final = 4.0  # σ that fit between what is left of a slip and a quarter of a cycle
+_LEFT_CYCLES: Final = 0.12  # of a slip beyond a multiple of half a cycle …
+_CERTAIN: Final = 4.0  # … and σ that fit between that and a quarter of a cycle
 _JUMP: Final = 5.0  # σ from which what most have in common is a jump
 _FLOOR_CYCLES: Final = 0.008  # of a tracked phase: reflections, the loop's own errors
 _WALK_MPRTS: Final = 3e-4  # of an arc's constant: satellite clocks
@@ -143,6 +144,16 @@ class Bridge:
     def drift_sps(self) -> float | None:
         """Frequency error of the receiver's oscillator, None while nobody knows."""
         return None if self._filter is None else self._filter.drift_mps / SPEED_OF_LIGHT_MPS
+
+    @property
+    def velocity_error_n_mps(self) -> FloatArray | None:
+        """What the phases say of the navigation's velocity (NED), estimate − truth."""
+        return None if self._filter is None else self._filter.velocity_error_n_mps
+
+    @property
+    def errors_covariance(self) -> FloatArray | None:
+        """Of the navigation's errors but position, as the phases leave it."""
+        return None if self._filter is None else self._filter.errors_covariance
 
     def stop(self, coasting: Iterable[Observation] = ()) -> Bridged:
         """There is no navigation: nothing is carried on."""
@@ -386,8 +397,8 @@ def _verdict(arc: _Arc, now_s: float, off_m: float, sigma_m: float) -> _Verdict 
     if not settled and waited_s < _LATEST_S:
         return None
     slipped = round(2.0 * off) / 2.0
-    left = off - slipped
+    left = abs(off - slipped)
     told = f"{off:+.2f} cycles off for {waited_s:.1f} s, sigma {sigma:.2f}"
-    if settled and abs(left) + _CERTAIN * sigma < 0.25:
+    if settled and left < _LEFT_CYCLES and left + _CERTAIN * sigma < 0.25:
         return _Verdict(Slip(arc.name[0], slipped, told) if slipped else None)
     return _Verdict(Slip(arc.name[0], None, told) if abs(off) > 0.25 else None)

@@ -70,6 +70,16 @@ class PhaseFilter:
         return float(self._rates @ self.mean[: self._base])
 
     @property
+    def velocity_error_n_mps(self) -> FloatArray:
+        """(3,) NED."""
+        return self.mean[self._errors][:3].copy()
+
+    @property
+    def errors_covariance(self) -> FloatArray:
+        """Of the navigation's errors but position."""
+        return self.P[self._errors, self._errors].copy()
+
+    @property
     def velocity_variance_m2ps2(self) -> float:
         """Sum over the three axes."""
         first = self._errors.start
