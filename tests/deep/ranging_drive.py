@@ -1,4 +1,4 @@
-"""A drive without samples: the simulator's ranges and increments, and a navigation that has them."""
+"""A drive without samples: ranges and increments of the simulator, and a navigation on them."""
 
 from __future__ import annotations
 
