@@ -79,14 +79,14 @@ def compare(sources: Sequence[Source], yardstick: Yardstick) -> Comparison:
     if yardstick.truth is None and yardstick.base is None:
         raise InputFileError("--truth, --base: found neither; there is nothing to compare with")
     notes: list[str] = []
-    whole = [_with_positions(source, yardstick, notes) for source in sources]
     found: dict[str, pd.DataFrame] = {}
     asked = np.zeros(0, np.int64)
     if yardstick.truth is not None:
+        whole = [_with_positions(source, yardstick, notes) for source in sources]
         located = {s.name: s.positions for s in whole if len(s.positions)}
         found = position_errors(located, yardstick.truth, yardstick.interval_s)
         asked = _overlap(found, grid(yardstick.truth, yardstick.interval_s))
-    singles = _singles(whole, yardstick, notes) if yardstick.base is not None else {}
+    singles = _singles(sources, yardstick, notes) if yardstick.base is not None else {}
     high = {
         name: table[table["elevation_deg"] >= yardstick.elevation_mask_deg]
         for name, table in singles.items()

@@ -19,8 +19,6 @@ from deepgnss.io.truth import Trajectory
 Instants = NDArray[np.int64]
 """Whole intervals since the GPS epoch."""
 
-_TICK_S: Final = 0.05  # tags nearer than this to an instant belong to it
-
 
 class Section(NamedTuple):
     """A stretch of the way, in GPST seconds of week."""
@@ -51,7 +49,7 @@ def position_errors(
 ) -> dict[str, pd.DataFrame]:
     """Errors of every receiver at the instants of a grid, north, east, down, estimate − truth.
 
-    Tags may be off the grid by less than 50 ms; truth is taken at the tag itself.
+    The position nearest to an instant stands for it; truth is taken at its own tag.
 
     Returns by name: index instant (whole intervals since the GPS epoch), tow_s, north_m, east_m,
     down_m, horizontal_m.
@@ -60,9 +58,10 @@ def position_errors(
     for name, frame in positions.items():
         own = frame[frame["valid"] == 1]
         seconds = own["week"].astype(np.float64) * SECONDS_PER_WEEK + own["tow_s"]
-        instant = (seconds / interval_s).round()
-        on_grid = (seconds - instant * interval_s).abs() < min(_TICK_S, 0.4 * interval_s)
-        own, instant = own[on_grid], instant[on_grid].astype(np.int64)
+        instant = (seconds / interval_s).round().astype(np.int64)
+        nearest = (seconds - instant * interval_s).abs().sort_values(kind="stable").index
+        nearest = nearest[~instant[nearest].duplicated()].sort_values()
+        own, instant = own.loc[nearest], instant[nearest]
         if own.empty:
             found[name] = pd.DataFrame(columns=list(_ERRORS), dtype=np.float64)
             continue

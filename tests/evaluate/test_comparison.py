@@ -1,0 +1,126 @@
+"""Positions of several receivers: the same instants for all, tags off the grid, sections, files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pymap3d
+import pytest
+from click.testing import CliRunner
+
+from deepgnss.cli.main import cli
+from deepgnss.core.records import FloatArray
+from deepgnss.evaluate.positions import Section, availability, figures, grid, position_errors
+from deepgnss.evaluate.single_point import POSITIONS
+from deepgnss.io.truth import Trajectory
+
+_WEEK, _START_S = 2290, 1000.0
+_AT = (np.radians(48.0), np.radians(11.0), 500.0)
+
+
+def _place(tow_s: FloatArray, off_ned_m: FloatArray) -> FloatArray:
+    """A car that goes north at 10 m/s, and an error from it."""
+    enu = np.column_stack(
+        [off_ned_m[:, 1], 10.0 * (tow_s - _START_S) + off_ned_m[:, 0], -off_ned_m[:, 2]]
+    )
+    return np.column_stack(pymap3d.enu2ecef(*enu.T, *_AT, deg=False))
+
+
+def _positions(tow_s: FloatArray, off_ned_m: FloatArray) -> pd.DataFrame:
+    columns = [np.full(len(tow_s), _WEEK), tow_s, np.ones(len(tow_s), int)]
+    place = _place(tow_s, off_ned_m)
+    return pd.DataFrame(
+        dict(zip(POSITIONS, [*columns, *place.T, *np.zeros((3, len(tow_s)))], strict=True))
+    )
+
+
+@pytest.fixture
+def truth() -> Trajectory:
+    tow_s = _START_S + np.arange(0.0, 100.05, 0.1)
+    return Trajectory(np.full(len(tow_s), _WEEK), tow_s, _place(tow_s, np.zeros((len(tow_s), 3))))
+
+
+def test_errors_have_their_sign_and_belong_to_their_own_tag(truth: Trajectory) -> None:
+    late = _START_S + np.arange(1.0, 99.0) + 0.3  # 3 m of way behind the whole second
+    found = position_errors({"a": _positions(late, np.tile([1.0, -2.0, 3.0], (98, 1)))}, truth, 1.0)
+    table = found["a"]
+    assert len(table) == 98
+    assert table[["north_m", "east_m", "down_m"]].mean().to_numpy() == pytest.approx(
+        [1.0, -2.0, 3.0], abs=0.01
+    )
+    assert table["horizontal_m"].to_numpy() == pytest.approx(np.sqrt(5.0), abs=0.01)
+
+
+def test_errors_are_counted_where_all_have_positions_and_shares_where_one_was_asked_for(
+    truth: Trajectory,
+) -> None:
+    every = _START_S + np.arange(0.0, 101.0)
+    tenth = _START_S + np.arange(0.0, 100.05, 0.1)
+    bad = np.zeros((len(every), 3))
+    bad[30:50, 1] = 8.0  # where the other has nothing
+    gap = (tenth < _START_S + 29.5) | (tenth > _START_S + 50.5)
+    found = position_errors(
+        {
+            "whole": _positions(every, bad),
+            "gap": _positions(tenth[gap], np.tile([0.0, 4.0, 0.0], (int(gap.sum()), 1))),
+        },
+        truth,
+        1.0,
+    )
+    asked = grid(truth, 1.0)
+    told = figures(found, asked, 1.0, gross_m=3.0)
+    assert (told["whole"].epochs, told["whole"].compared) == (101, 80)
+    assert told["whole"].fixed_share == 1.0 and told["gap"].fixed_share == pytest.approx(80 / 101)
+    assert told["gap"].longest_gap_s == 21.0
+    assert told["whole"].horizontal_rms_m == pytest.approx(0.0, abs=1e-3)
+    assert (told["whole"].gross_share, told["gap"].gross_share) == (0.0, 1.0)
+    assert told["gap"].east_std_m == pytest.approx(0.0, abs=0.01)
+    sections = (Section("tunnel", _START_S + 30.0, _START_S + 40.0), Section("none", 5.0, 6.0))
+    shares = availability(found, asked, 1.0, sections)
+    assert shares == {"tunnel": {"whole": 1.0, "gap": 0.0}}
+
+
+def test_the_command_writes_tables_and_figures(truth: Trajectory, tmp_path: Path) -> None:
+    every = _START_S + np.arange(0.0, 101.0)
+    runs = []
+    for name, size_m in (("one", 1.0), ("two", 2.0)):
+        folder = tmp_path / name
+        folder.mkdir()
+        noise = np.random.default_rng(1).normal(0.0, size_m, (101, 3))
+        frame = _positions(every, noise).assign(satellites="", rejected="", reason="")
+        frame.to_csv(folder / "solution.csv", index=False)
+        runs.append(str(folder))
+    lat, lon, height = pymap3d.ecef2geodetic(*truth.r_e_m.T)
+    pd.DataFrame(
+        {
+            "week": truth.week,
+            "tow_s": truth.tow_s,
+            "lat_deg": lat,
+            "lon_deg": lon,
+            "height_m": height,
+        }
+    ).to_csv(tmp_path / "truth.csv", index=False)
+    out = tmp_path / "out"
+    run = CliRunner().invoke(
+        cli, ["compare", *runs, "--truth", str(tmp_path / "truth.csv"), "--output", str(out)]
+    )
+    assert run.exit_code == 0, run.output
+    summary = json.loads((out / "summary.json").read_text())
+    ratio = summary["positions"]["two"]["cep50_m"] / summary["positions"]["one"]["cep50_m"]
+    assert ratio == pytest.approx(2.0, rel=1e-3)
+    assert len(pd.read_csv(out / "errors.csv")) == 202
+    assert (out / "positions.png").stat().st_size > 10_000
+
+
+def test_nothing_to_hold_them_against_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    run = CliRunner().invoke(cli, ["compare", str(tmp_path / "run")])
+    assert run.exit_code == 2 and "no solution.csv in it" in run.output
+    run = CliRunner().invoke(cli, ["compare"])
+    assert run.exit_code == 2 and "nothing to compare" in run.output
+    (tmp_path / "log.txt").write_text("hello\n")
+    run = CliRunner().invoke(cli, ["compare", "--log", str(tmp_path / "log.txt")])
+    assert run.exit_code == 2 and "expected a run's folder, .ubx, NMEA" in run.output
