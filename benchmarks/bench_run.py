@@ -7,9 +7,10 @@ import tempfile
 from pathlib import Path
 from statistics import median
 
-from children import DEEPGNSS, Ran, run
 from rich.console import Console
 from rich.table import Table
+
+from deepgnss.evaluate.child import DEEPGNSS, Ran, run
 
 CHANNELS = 8  # of the scenario
 ALLOWED_S = 0.012  # CPU time per channel and second of signal
@@ -82,7 +83,7 @@ def _totals(short_s: float, short: list[Ran], long_s: float, long: list[Ran]) ->
 
 
 def _by_stage(place: Path, seconds: float) -> Table:
-    from stages import stages_s  # after the children: they start with this process's memory
+    from stages import stages_s  # after the children: those start with this process's memory
 
     table = Table(title="By stage, scout pass included", title_justify="left")
     table.add_column("stage")

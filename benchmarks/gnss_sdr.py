@@ -11,9 +11,9 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 import pandas as pd
-from children import run
 
 from deepgnss.core.frames import C_ne, geodetic
+from deepgnss.evaluate.child import run
 from deepgnss.evaluate.observations import read_observations
 from deepgnss.io.config import Config
 from deepgnss.io.recording import Recording

@@ -14,12 +14,12 @@ from pathlib import Path
 import gnss_sdr
 import numpy as np
 import pandas as pd
-from children import DEEPGNSS, run
 from gnss_sdr import Outcome
 from numpy.typing import NDArray
 from tables import markdown
 
 from deepgnss.core.records import FloatArray
+from deepgnss.evaluate.child import DEEPGNSS, run
 from deepgnss.evaluate.errors import errors, read_solution
 from deepgnss.evaluate.observables import range_errors, same_epochs, single_differences
 from deepgnss.evaluate.observations import read_observations, read_ranges
