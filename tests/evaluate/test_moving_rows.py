@@ -152,7 +152,7 @@ def test_steps_have_their_size_along_the_line_of_sight(loop: Loop) -> None:
 def _heard(loop: Loop, response: FloatArray, rates: FloatArray, noise: float) -> Heard:
     """A discriminator that says `response` (of the loop's own step) after each step."""
     rng = np.random.default_rng(3)
-    time_s = np.arange(0.0005, 16.0, loop.coherent_s)
+    time_s = np.arange(0.0005, 22.0, loop.coherent_s)
     cycles = 0.01 + noise * rng.standard_normal(time_s.size)
     for begin_s, rate in zip(turns.step_times_s(4), rates, strict=True):
         after = (time_s >= begin_s) & (time_s < begin_s + 0.5)
