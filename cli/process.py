@@ -173,7 +173,8 @@ class _Run:
             with self._stage("errors and picture"):
                 found = _draw(self.config, folder, self.path.name)
                 horizontal = found.of("horizontal_m") if found else None
-        self._report(outputs, outcomes, horizontal)
+        inertial = engine.coupled.guard.line() if engine.coupled is not None else ""
+        self._report(outputs, outcomes, horizontal, inertial)
         if outputs.tally.fixed:
             return self._is_consistent(outputs.code_minus_carrier.drift_mps)
         if not self.plan.scout:
@@ -201,7 +202,12 @@ class _Run:
                 outputs.write(result, engine.navigated)
                 self._show(result)
             receiver = engine.receiver
-            outputs.finish(receiver.nav, receiver.accounts.outcomes, {"config": _echo(self.config)})
+            told: dict[str, Any] = {"config": _echo(self.config)}
+            if engine.coupled is not None:
+                told["inertial"] = engine.coupled.guard.summary()
+            outputs.finish(receiver.nav, receiver.accounts.outcomes, told)
+        for line in engine.coupled.guard.warnings() if engine.coupled is not None else ():
+            self.screen.note(f"warning: {line}")
         return outputs
 
     def _checked(self, engine: Engine, steps: Iterator[StepResult]) -> Iterator[StepResult]:
@@ -251,6 +257,7 @@ class _Run:
         outputs: Outputs,
         outcomes: Sequence[SatelliteOutcome],
         horizontal: Statistics | None,
+        inertial: str,
     ) -> None:
         console = Console()
         if not console.is_terminal:
@@ -269,6 +276,7 @@ class _Run:
                     last=tally.last_valid.solution if tally.last_valid else None,
                     files=written(outputs.folder, FILES),
                     horizontal=horizontal,
+                    inertial=inertial,
                 )
             )
         )

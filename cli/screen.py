@@ -55,6 +55,7 @@ class RunSummary(NamedTuple):
     last: NavSolution | None  # last valid one
     files: Sequence[Path]
     horizontal: Statistics | None = None  # error against truth, where there is one
+    inertial: str = ""  # how the inertial navigation fared
 
 
 class Screen:
@@ -187,6 +188,8 @@ def summary_table(summary: RunSummary) -> Table:
             "horizontal error",
             f"{error.rms:.2f} m RMS, 95 % within {error.percentile95:.2f} m (against truth)",
         )
+    if summary.inertial:
+        table.add_row("inertial navigation", summary.inertial)
     for name, wall_s in summary.stages_s.items():
         speed = f", {summary.recording_s / wall_s:.1f} × real time" if wall_s > 0.0 else ""
         table.add_row(name, f"{wall_s:.1f} s{speed}")

@@ -150,6 +150,8 @@ class CoupledNavigation:
             sample = clock.instant(to_ns(turn.time)).sample if (clock := receiver.clock) else 0
             what = "trusted" if turn.trusted else "distrusted"
             events.append(Event(sample, "INS", what, turn.reason))
+            if not turn.trusted:  # what misled it is in its state
+                self.navigation.stop(turn.time, turn.reason)
         if (moved_s := self.guard.correction_s()) is not None:
             detail = f"log was {self.guard.offset}: {moved_s:+.4f} s"
             events.append(Event(result.end, "INS", "time offset", detail))

@@ -122,6 +122,11 @@ class Navigation:
         self._not_before_s = self._fixes[0].time.since(origin) if self._fixes else -np.inf
         self._next_try_s = -np.inf
 
+    def stop(self, time: GpsTime, reason: str) -> None:
+        """Give it up; it starts anew from fixes to come."""
+        if self._coupling is not None:
+            self._stop(time.since(self._inputs.block.origin), reason)
+
     # --- before an epoch ---------------------------------------------------------------------
 
     def ahead(self, until: GpsTime) -> Trajectory | None:

@@ -57,6 +57,8 @@ _SETTLED_S = 1e-4
 _STEP_S = 0.1  # farthest of a round: linear no further
 _WANDER_S = 0.01  # from one stretch to another
 _VAGUE_S = 0.05  # 1σ from which a stretch says nothing
+_LIVELY_MPS = 0.7  # spread of velocities that should tell
+_REMEMBERED = 3  # stretches that did not
 _HUBER = 1.5  # σ from which a velocity counts less
 _FORGET_S = 600.0  # a log's delay may wander with its clock
 _SURE_S = 0.004  # 1σ with which an offset is taken at its word …
@@ -113,6 +115,10 @@ class Offset(NamedTuple):
     def significant(self) -> bool:
         """Whether it is more than chance and large enough to matter: 5 ms at 2 m/s² are 1 cm/s."""
         return self.sure and abs(self.late_s) > max(0.005, 4.0 * self.sigma_s)
+
+    def moved(self, seconds: float) -> Offset:
+        """The same of a log that has been moved forward in time."""
+        return self._replace(late_s=self.late_s + seconds)
 
     @property
     def reach_s(self) -> float:
@@ -378,6 +384,7 @@ class OffsetEstimator:
     lever_b_m: FloatArray
     loop: CarrierLoop
     fits: list[StretchFit] = field(default_factory=list)
+    unexplained: list[list[GnssFix]] = field(default_factory=list)  # the last in lively motion
     _waiting: list[GnssFix] = field(default_factory=list)
     _aided: bool = False
 
@@ -400,6 +407,8 @@ class OffsetEstimator:
         self._waiting = waiting[len(inside) :]
         fitted = fit_stretch(block, inside, self.grade, self.lever_b_m, self.loop, known, aided)
         if isinstance(fitted, str):
+            if _lively(inside):
+                self.unexplained = [*self.unexplained, inside][-_REMEMBERED:]
             return None
         self.fits.append(fitted)
         while fitted.time_s - self.fits[0].time_s > _FORGET_S:
@@ -426,6 +435,11 @@ class OffsetEstimator:
     def shifted(self, seconds: float) -> None:
         """The log's times have been moved by some seconds."""
         self.fits = [fit._replace(late_s=fit.late_s + seconds) for fit in self.fits]
+
+
+def _lively(fixes: Sequence[GnssFix]) -> bool:
+    velocities = [f.v_n_mps for f in fixes if f.v_n_mps is not None]
+    return bool(velocities) and float(np.std(velocities, axis=0).max()) > _LIVELY_MPS
 
 
 def _weighted_median(values: FloatArray, weights: FloatArray) -> float:

@@ -29,7 +29,6 @@ LONGEST_PATIENCE_S: Final = 180.0
 FASTEST_SIGMA_MPS: Final = 0.2
 """1σ of the antenna's velocity (per axis) with which aiding may begin: 1 Hz of carrier."""
 
-_REFUSED = 5.4  # NIS per degree of freedom: 0.1 % of three degrees
 _CAP = 10.0  # one wild fix is not a wrong log
 _PLACING = ("position", "velocity", "pseudorange", "range rate")
 
@@ -42,7 +41,7 @@ class Limit(NamedTuple):
     strain: float
 
 
-LIMITS: Final = (Limit(1.0, 3, 4.0), Limit(10.0, 10, 2.5), Limit(60.0, 30, 1.6))
+LIMITS: Final = (Limit(2.0, 6, 4.0), Limit(10.0, 10, 2.5), Limit(60.0, 30, 1.6))
 """Strain is NIS per degree of freedom: 1 for a consistent filter, less where σ are generous."""
 
 _CONSISTENT = 1.3  # mean strain with which patience is rewarded
@@ -115,13 +114,18 @@ class Watch:
         """The limit that the strain exceeds, in words; empty: none."""
         for limit in LIMITS:
             strain, epochs = self._mean(now, limit.seconds)
+            if limit is LIMITS[0]:  # a few wild fixes, as after a tunnel, are not its fault
+                strain = min(strain, self._median(now, limit.seconds))
             if epochs >= limit.epochs and strain > limit.strain:
+                times = f"{math.sqrt(strain):.1f}" if strain < _CAP else "more than 3"
                 return (
-                    f"innovations of the last {limit.seconds:.0f} s are"
-                    f" {math.sqrt(strain):.1f}{'+' if strain >= 0.99 * _CAP else ''} times what the"
+                    f"innovations of the last {limit.seconds:.0f} s are {times} times what the"
                     " navigation expects"
                 )
         return ""
+
+    def _median(self, now: GpsTime, seconds: float) -> float:
+        return float(np.median([x for time, x in self._strains if now.since(time) <= seconds]))
 
     def _mean(self, now: GpsTime, seconds: float) -> tuple[float, int]:
         inside = [strain for time, strain in self._strains if now.since(time) <= seconds]

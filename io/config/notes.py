@@ -14,8 +14,6 @@ def notes(config: Config) -> tuple[str, ...]:
             lines.append(f"signals: {signal} lies outside of every stream")
     if config.odometer is not None and (config.imu is None or config.ins.vehicle is None):
         lines.append("odometer: not used without `imu` and `ins.vehicle`")
-    if config.imu is not None and config.imu.time_offset == "auto":
-        lines.append("imu.time_offset: auto: not estimated by this version, 0 s taken")
     if config.imu is not None and config.deep.enabled and config.deep.coupling == "tight":
         lines.append("deep.coupling: tight: not in this version, which couples loosely")
     return tuple(lines)

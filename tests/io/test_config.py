@@ -393,8 +393,6 @@ def test_what_has_no_effect_is_said(tmp_path):
     assert notes(load_config(write(tmp_path, MINIMAL))) == ()
     asked = notes(load_config(EXAMPLE, check_files=False))
     assert any("BDS_B1I" in line for line in asked)
-    late = notes(load_config(EXAMPLE, ["imu.time_offset=auto"], check_files=False))
-    assert any(line.startswith("imu.time_offset: auto") for line in late)
     tight = notes(load_config(EXAMPLE, ["deep.coupling=tight"], check_files=False))
     assert any(line.startswith("deep.coupling: tight") for line in tight)
     wide = load_config(write(tmp_path, MINIMAL), [f"{S}.sample_rate=40e6"])
