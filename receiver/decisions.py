@@ -31,6 +31,7 @@ _FAINT_S = 2.5  # of frequency tracking before its C/N0 is believed
 _STRONG_DB = 10.0  # above the limit: a signal whose loss is seen by few intervals …
 _STRONG_AIDED_DB = 6.0  # … and where an open loop bears to be begun in vain
 _EMPTY_DBHZ = 21.0  # of the last intervals: rather nothing there than something faint
+_KEPT_DBHZ = 25.0  # strong neighbours' cross-correlation below it ends no phase carried on
 _BACK_INTERVALS = 3  # that must each show a signal …
 _BACK_FALSE = math.exp(-6.0)  # … which noise does in one of so many
 
@@ -203,6 +204,7 @@ def _hold(channel: Tracked, here_s: float, fast: float, gone: bool, period_s: fl
         > max(
             settings.frequency_threshold_dbhz + _RETURN_DB,
             surely_seen_dbhz(channel.signal.symbol_periods, period_s),
+            _KEPT_DBHZ if channel.phase_kept else -math.inf,
         )
     ):
         return Go(Mode.WEAK, f"signal back at {back:.1f} dB-Hz")
