@@ -22,7 +22,7 @@ from deepgnss.core.errors import NumericalError
 from deepgnss.core.records import SIGNAL_IDS, FloatArray, Observation, Oscillator
 from deepgnss.deep.aiding import Skyline
 from deepgnss.deep.navigation import Leg
-from deepgnss.deep.phase_filter import PhaseFilter, common_jump, sound
+from deepgnss.deep.phase_filter import Chosen, PhaseFilter, common_jump, sound
 from deepgnss.ins.error_model import VELOCITY
 from deepgnss.ins.increments import SAME_INSTANT_S
 from deepgnss.receiver.modes import Coast
@@ -36,6 +36,7 @@ _SETTLED_CYCLES: Final = 0.1  # by which they differ once a loop has slipped
 _LEFT_CYCLES: Final = 0.12  # of a slip beyond a multiple of half a cycle …
 _CERTAIN: Final = 4.0  # … and σ that fit between that and a quarter of a cycle
 _JUMP: Final = 5.0  # σ from which what most have in common is a jump
+_MANY: Final = 5  # phases whose agreement says more than the navigation
 _FLOOR_CYCLES: Final = 0.008  # of a tracked phase: reflections, the loop's own errors
 _WALK_MPRTS: Final = 3e-4  # of an arc's constant: satellite clocks
 _ATMOSPHERE: Final = (1e-4, 0.3)  # m/s, share of the modelled rate: 1σ of what is not modelled
@@ -275,8 +276,7 @@ class Bridge:
         silent_s = np.array([now_s - arc.believed_s for arc in arcs])
         variance_m2 = np.array([seen[arc.name].sigma_m ** 2 for arc in arcs])
         variance_m2 += (sights.unmodelled_mps[rows] * silent_s) ** 2
-        jump_m = self._jump(known, H, y_m, variance_m2)
-        kept = sound(*known.innovation(H, y_m, variance_m2), _LIMIT)
+        kept, jump_m = self._agreeing(known, tag, H, y_m, variance_m2)
         known.update(H[kept], y_m[kept], variance_m2[kept])
         if np.sum(sights.clocked[rows] * kept) < _PHASES_ENOUGH and math.isfinite(tag.drift[0]):
             known.take_drift(*(SPEED_OF_LIGHT_MPS * value for value in tag.drift))
@@ -298,14 +298,27 @@ class Bridge:
                 slips.append(slip)
         return jump_m, tuple(slips)
 
-    def _jump(
-        self, known: PhaseFilter, H: FloatArray, y_m: FloatArray, variance_m2: FloatArray
-    ) -> float | None:
-        """A step of the clock that most phases show is none of theirs."""
+    def _agreeing(
+        self, known: PhaseFilter, tag: Tag, H: FloatArray, y_m: FloatArray, variance_m2: FloatArray
+    ) -> tuple[Chosen, float | None]:
+        """Phases that fit, and by how much the clock has jumped.
+
+        A step of the clock, or of the navigation's way, that most phases show is none of theirs.
+        """
         jump_m = common_jump(*known.innovation(H, y_m, variance_m2), _JUMP)
         if jump_m is not None:
             known.open_clock(jump_m)
-        return jump_m
+        off_m, covariance = known.innovation(H, y_m, variance_m2)
+        kept = sound(off_m, covariance, _LIMIT)
+        if y_m.size < _MANY or 2 * np.sum(kept) >= y_m.size:
+            return kept, jump_m
+        step_m2 = float(np.max(off_m**2))
+        alike = sound(off_m, covariance + step_m2 * known.common(H), _LIMIT)
+        if np.sum(alike) < max(_MANY, 0.6 * y_m.size):
+            return kept, jump_m
+        known.open_way(step_m2)
+        known.restart_errors(tag.P)
+        return alike, jump_m
 
     def _begin(
         self, known: PhaseFilter, tag: Tag, seen: Mapping[_Name, _Seen], skyline: Skyline

@@ -29,6 +29,7 @@ from deepgnss.ins.filter import correct
 # Time constants of Gauss–Markov frequencies that add up to flicker, each h₋₁·ln(ratio).
 _FLICKER_S: Final = np.array([0.3, 3.0, 30.0])
 _FLICKER_RATIO: Final = 10.0
+_FAR: Final = 4.0  # σ
 _WAY: Final = slice(0, 3)
 _FROM: Final = POSITION.stop  # what of the inertial errors is carried here
 
@@ -152,6 +153,16 @@ class PhaseFilter:
         self.mean[self._clock] += jump_m
         self.P[self._clock, self._clock] += jump_m**2
 
+    def common(self, H: FloatArray) -> FloatArray:
+        """What unit variances of way and clock are in phases (k, k) of rows H."""
+        shared = np.column_stack([H[:, _WAY], H[:, self._clock]])
+        return np.asarray(shared @ shared.T)
+
+    def open_way(self, variance_m2: float) -> None:
+        """Way and clock are known less well than they seemed."""
+        for k in (*range(_WAY.stop), self._clock):
+            self.P[k, k] += variance_m2
+
     def open_arc(self, arc: int, variance_m2: float) -> None:
         """An arc's constant is known less well than it seemed."""
         k = self._base + arc
@@ -197,9 +208,12 @@ class PhaseFilter:
             self.mean, self.P, _, _ = correct(self.mean, self.P, y_m, H, np.diag(variance_m2))
 
     def take_drift(self, drift_mps: float, sigma_mps: float) -> None:
-        """Take in the clock's frequency, times c, as Doppler tells it."""
+        """Take in the clock's frequency, times c, as Doppler tells it; not when it is far off."""
         H = np.concatenate([self._rates, np.zeros(self.arcs)])[np.newaxis]
-        self.update(H, np.array([drift_mps]), np.array([sigma_mps**2]))
+        told = H, np.array([drift_mps]), np.array([sigma_mps**2])
+        off_mps, covariance = self.innovation(*told)
+        if off_mps[0] ** 2 < _FAR**2 * covariance[0, 0]:
+            self.update(*told)
 
     def innovation(
         self, H: FloatArray, y_m: FloatArray, variance_m2: FloatArray

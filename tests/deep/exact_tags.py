@@ -86,6 +86,7 @@ class Tags:
     model_drift_sps: float = 2.0e-7
     drift_sps: float = 2.4e-7
     at_rest: bool = False
+    step: tuple[float, float] = (np.inf, 0.0)  # when, and by how many m north, its way is off
 
     @cached_property
     def scenario(self) -> Scenario:
@@ -244,6 +245,7 @@ class _Errors:
         drawn = self._root @ self._random.standard_normal(15) if self._tags.grade else np.zeros(15)
         after = self.Phi @ self.x + drawn
         off_n_m = after[:3] - self.x[:3]
+        off_n_m[0] += self._tags.step[1] * (t - STEP_S < self._tags.step[0] <= t)
         correction = np.zeros(15)
         if self._tags.grade is not None:  # somebody keeps it within bounds
             correction[3:] = -0.02 * after[3:]

@@ -144,6 +144,21 @@ def test_a_jump_of_the_clock_is_no_slip_of_all(jump_s: float) -> None:
     assert jump_m == pytest.approx(jump_s * SPEED_OF_LIGHT_MPS, abs=0.02)
 
 
+@pytest.mark.parametrize("step_m", [0.15, -2.0])
+def test_a_step_of_the_navigation_is_no_slip_of_all(step_m: float) -> None:
+    """Most phases agree that the antenna has not gone where the navigation says."""
+    tags = Tags(12.0, cn0_dbhz=45.0, oscillator=OCXO, grade=imu_grade("FSAS"), step=(8.0, step_m))
+    assert not _slips(tags.run(Bridge(OCXO, LOOP)))
+
+
+def test_with_most_phases_slipping_none_is_taken_for_sound() -> None:
+    """Five of eight at once, each by another number: none of these stays unnoticed."""
+    tags = Tags(12.0, cn0_dbhz=45.0, oscillator=OCXO, grade=imu_grade("FSAS"))
+    slips = [(s, 1.0 + k, 8.0, 0.1) for k, s in enumerate(_names(tags)[:5])]
+    found = {slip.satellite for _, slip in _slips(tags.run(Bridge(OCXO, LOOP), slips=slips))}
+    assert found == set(_names(tags)[:5])
+
+
 # --- open loop -----------------------------------------------------------------------------------
 
 
