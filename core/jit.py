@@ -36,6 +36,11 @@ def kernel(function: _Function) -> _Function:
     return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
+def brief_kernel(function: _Function) -> _Function:
+    """As `kernel`, but holding the GIL: for calls shorter than handing it over takes."""
+    return cast(_Function, numba.njit(cache=True, error_model="numpy")(function))
+
+
 def summing_kernel(function: _Function) -> _Function:
     """As `kernel`, with sums that may be reassociated and contracted; NaN keeps its meaning."""
     return cast(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepgnss.core.jit import kernel
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.records import ComplexArray, FloatArray
 from deepgnss.receiver.trackers import Accumulated
 
@@ -62,7 +62,7 @@ def shifted_powers(symbols: ComplexArray) -> FloatArray:
     return np.asarray(sums.real**2 + sums.imag**2)
 
 
-@kernel
+@brief_kernel
 def interval_powers(taps: ComplexArray, size: int) -> tuple[float, float]:
     """Σ|p|² of prompts (n, taps ≥ 2), and Σ|s|²/size of their sums s over `size` each."""
     wide = narrow = 0.0
@@ -76,7 +76,7 @@ def interval_powers(taps: ComplexArray, size: int) -> tuple[float, float]:
     return wide, narrow / size
 
 
-@kernel
+@brief_kernel
 def neighbour_powers(taps: ComplexArray) -> tuple[float, float, float]:
     """Σ|p|² of prompts (n, taps ≥ 2), Σ Re z and Σ Re z² of products z of neighbours."""
     before = taps[0, 1]
@@ -92,7 +92,7 @@ def neighbour_powers(taps: ComplexArray) -> tuple[float, float, float]:
     return wide, once, twice
 
 
-@kernel
+@brief_kernel
 def mean_shifted_powers(taps: ComplexArray, shifts: ComplexArray) -> tuple[float, float, float]:
     """Means of `shifted_powers` over the symbols of prompts (n, taps ≥ 2); shifts (size, 3)."""
     size = shifts.shape[0]
