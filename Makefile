@@ -11,7 +11,7 @@ PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3.14 python3 p
 .PHONY: help demo test check lint types floors bench bench-peers sim-peers docs clean
 
 help:
-	@echo "make demo   simulate 90 s through a city and process them: results in demo/out"
+	@echo "make demo   simulate 90 s through a city, process them with and without aiding: demo/out"
 	@echo "make test   all tests but the slow ones"
 	@echo "make check  lint, format, types, import floors"
 	@echo "make bench  speed of the correlator and of a whole run"
@@ -28,7 +28,7 @@ $(STAMP): pyproject.toml
 
 demo: $(STAMP)
 	$(BIN)/deepgnss simulate urban_short --output demo
-	$(BIN)/deepgnss process demo/rec_L1.bin --config demo/config.yaml
+	$(BIN)/deepgnss process demo/rec_L1.bin --config demo/config.yaml --both
 
 # Kernels run as plain Python, then with every index checked (a cache of their own: numba does not
 # tell such code from the usual one), then everything as it is used.

@@ -178,9 +178,9 @@ class OutliersConfig(Section):
     enabled: Switch = True
     """Leave flagged ranges out of the position (they stay in the log)."""
     alpha: Annotated[float, Quantity(0.0, 1.0, "", above=True)] = 0.05
-    """Coefficient of the low-pass filter."""
+    """Share of a lasting difference that the slow value takes over in a second."""
     threshold: Annotated[float, Quantity(0.0, 1000.0, "m", above=True)] = 6.0
-    """Difference that flags a range, m."""
+    """Difference that refuses a range, m, widened by 3σ of the prediction."""
 
 
 class PositioningConfig(Section):

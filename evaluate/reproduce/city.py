@@ -1,0 +1,286 @@
+"""CITY-PR, CITY-EXIT: a drive through a city, with and without aiding, T 6.6.
+
+Ranges are corrected by those of a base station, satellite by satellite; positions come from the
+receiver's own adjustment, epoch by epoch, of the ranges it has not refused. No filter smooths them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.frames import C_ne, ecef, geodetic
+from deepgnss.core.records import (
+    SIGNAL_IDS,
+    Epoch,
+    FloatArray,
+    NavData,
+    NavSolution,
+    Observation,
+    SampleInstant,
+)
+from deepgnss.core.time import GpsTime
+from deepgnss.evaluate.metrics import GROSS_M
+from deepgnss.evaluate.reproduce.table import Figure
+from deepgnss.evaluate.reproduce.whole_receiver import Recording, recorded, started
+from deepgnss.io.rinex_nav import read_nav
+from deepgnss.io.rinex_obs_reader import read_obs
+from deepgnss.receiver import pvt
+from deepgnss.receiver.measured import ranges_from
+from deepgnss.receiver.receiver import Fix
+
+RUNS: Final[Mapping[str, tuple[str, ...]]] = {
+    "unaided, no RAIM": ("deep=false", "positioning.raim=false"),
+    "unaided": ("deep=false",),
+    "aided, loose": ("deep.coupling=loose",),
+    "aided, tight": ("deep.coupling=tight",),
+}
+PLAIN, FULL, *AIDED = RUNS
+RATIOS: Final = (3.61 / 0.80, 1.50 / 0.93, 0.89 / 0.69, 9.25 / 2.90)  # σ N, σ E, CEP, gross
+FIXED: Final = 0.995
+EXIT_S: Final = 1.0
+
+_SETTINGS: Final = ("output.interval=0.1", "tracking.code.spacing=0.1")
+_NO_AIR: Final = pvt.PvtParameters(ionosphere="none", troposphere="none")  # the base saw it, too
+_TAGS_HZ: Final = 10
+_QUICK_S: Final = 64.0
+_DARK_S: Final = 2.0  # without a single satellite: a tunnel
+_NEEDED: Final = 4  # unblocked satellites with which a fix is due
+
+
+class Drive(NamedTuple):
+    """One recording: what was in sight at every tag, and the runs' tables by name."""
+
+    unblocked: pd.Series  # satellites above the mask in sight, by tag
+    runs: dict[str, pd.DataFrame]  # index tag: own fix, north_m, east_m of the differential one
+
+
+@cache
+def drive(seed: int, quick: bool) -> Drive:
+    """All runs over one recording; every seed has a sky of its own."""
+    settings = [f"start=2023-11-30T{(9 + 5 * seed) % 24:02d}:10:38Z"]
+    settings += [f"seconds={_QUICK_S}"] if quick else []
+    with recorded("city", seed, *settings) as recording:
+        nav = read_nav(recording.folder / "nav.rnx")
+        corrections = _corrections(recording, nav)
+        truth = _truth(recording)
+        mask_deg = 10.0
+        seen = pd.read_csv(recording.folder / "ranges.csv")
+        seen = seen[(seen["visible"] == 1) & (seen["el_deg"] >= mask_deg)]
+        unblocked = seen.groupby(_tags(seen["tow"]))["satellite"].nunique()
+        unblocked = unblocked.reindex(truth.index, fill_value=0)
+        runs = {
+            name: _table(_fixes(recording, own), nav, corrections, truth, raim=name != PLAIN)
+            for name, own in RUNS.items()
+        }
+    return Drive(unblocked, runs)
+
+
+def _tags(tow_s: pd.Series) -> pd.Series:
+    return (tow_s * _TAGS_HZ).round().astype(int)
+
+
+def _truth(recording: Recording) -> pd.DataFrame:
+    """ECEF position of the antenna at the tags."""
+    rows = pd.read_csv(recording.folder / "truth.csv")
+    tags = rows["gps_tow_s"] * _TAGS_HZ
+    rows = rows[(tags - tags.round()).abs() < 1e-6]
+    angles = np.radians(rows[["lat_deg", "lon_deg"]].to_numpy())
+    heights = rows["height_m"].to_numpy()
+    places = [ecef(lat, lon, height) for (lat, lon), height in zip(angles, heights, strict=True)]
+    return pd.DataFrame(places, index=_tags(rows["gps_tow_s"]).to_numpy())
+
+
+def _fixes(recording: Recording, settings: Sequence[str]) -> list[Fix]:
+    with started(recording, *_SETTINGS, *settings) as (_, _, engine):
+        return [fix for result in engine.steps() for fix in result.fixes if fix.output]
+
+
+# --- differential positions ----------------------------------------------------------------------
+
+
+def _corrections(recording: Recording, nav: NavData) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """By satellite, times (tow) and how much longer the base's ranges are than geometry tells.
+
+    The base's clock, common to all, goes into the rover's.
+    """
+    base = read_obs(recording.folder / "base.obs")
+    if base.position_e_m is None:
+        raise ValueError("base.obs: no position")
+    open_sky = replace(_NO_AIR, elevation_mask_rad=0.0)
+    found: dict[str, list[tuple[float, float]]] = {}
+    codes = {"G": "C1C", "C": "C2I"}
+    for _, rows in base.frame.groupby("tow_s"):
+        time = GpsTime(int(rows["week"].iloc[0]), float(rows["tow_s"].iloc[0]))
+        observations = tuple(
+            _bare(str(name), float(rows[codes[str(name)[0]]].iloc[k]), time)
+            for k, name in enumerate(rows["satellite"])
+        )
+        seen = ranges_from(
+            Epoch(time, SampleInstant(0, 0.0), observations), nav, open_sky, base.position_e_m
+        )
+        for satellite, misfit_m in zip(seen.satellites, seen.misfit_m, strict=True):
+            found.setdefault(satellite, []).append((time.tow_s, float(misfit_m)))
+    return {
+        name: (column[:, 0], column[:, 1])
+        for name, column in ((name, np.array(pairs)) for name, pairs in found.items())
+    }
+
+
+def _bare(satellite: str, range_m: float, time: GpsTime) -> Observation:
+    signal = next(s.name for s in SIGNAL_IDS.values() if s.system == satellite[0])
+    sent = time.plus(-range_m / SPEED_OF_LIGHT_MPS)
+    return Observation(
+        satellite, signal, range_m, 0.0, np.nan, 45.0, 1.0, False, False, False, sent
+    )
+
+
+def differential(
+    fix: Fix,
+    nav: NavData,
+    corrections: Mapping[str, tuple[FloatArray, FloatArray]],
+    *,
+    raim: bool,
+) -> NavSolution:
+    """Position of a tag from its ranges less the base's corrections.
+
+    What the receiver's own position left out stays out: an outlier does, whoever found it.
+    """
+    tow_s = fix.epoch.time.tow_s
+    corrected = tuple(
+        replace(
+            o, pseudorange_m=o.pseudorange_m - float(np.interp(tow_s, *corrections[o.satellite]))
+        )
+        for o in fix.epoch.observations
+        if o.satellite in corrections
+    )
+    parameters = replace(_NO_AIR, raim=raim)
+    start = fix.solution if fix.solution.valid else None
+    out = {s: why for s, why in fix.solution.rejected.items() if why.startswith(("range", "resid"))}
+    return pvt.solve(replace(fix.epoch, observations=corrected), nav, parameters, start, out)
+
+
+def _table(
+    fixes: Sequence[Fix],
+    nav: NavData,
+    corrections: Mapping[str, tuple[FloatArray, FloatArray]],
+    truth: pd.DataFrame,
+    *,
+    raim: bool,
+) -> pd.DataFrame:
+    rows = {}
+    for fix in fixes:
+        tag = round(fix.epoch.time.tow_s * _TAGS_HZ)
+        if tag not in truth.index:
+            continue
+        r_e_m = truth.loc[tag].to_numpy()
+        lat_rad, lon_rad, _ = geodetic(r_e_m)
+        found = differential(fix, nav, corrections, raim=raim)
+        north_m, east_m, _ = C_ne(lat_rad, lon_rad) @ (found.r_e_m - r_e_m)
+        rows[tag] = (fix.solution.valid, north_m, east_m)
+    columns = ["fixed", "north_m", "east_m"]
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=columns).reindex(truth.index)
+    return table.assign(fixed=table["fixed"].eq(True))
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+
+class Spread(NamedTuple):
+    """Columns of T table 6.10."""
+
+    north_m: float
+    east_m: float
+    cep_m: float
+    gross: float
+    fixed: float
+
+    def __str__(self) -> str:
+        shares = f"{100 * self.fixed:.1f} % fixed, {100 * self.gross:.2f} % gross"
+        return f"{self.north_m:.2f} / {self.east_m:.2f} m, CEP {self.cep_m:.2f} m, {shares}"
+
+
+def spreads(drives: Sequence[Drive]) -> dict[str, Spread]:
+    """Errors over the epochs that all runs have, fixes over all with enough satellites in sight."""
+    due = [(d.unblocked >= _NEEDED).to_numpy() for d in drives]
+    shared = [
+        own & np.logical_and.reduce([run["north_m"].notna().to_numpy() for run in d.runs.values()])
+        for own, d in zip(due, drives, strict=True)
+    ]
+    found = {}
+    for name in RUNS:
+        parts = [d.runs[name] for d in drives]
+        errors = pd.concat([part[rows] for part, rows in zip(parts, shared, strict=True)])
+        have = pd.concat([part["north_m"][rows] for part, rows in zip(parts, due, strict=True)])
+        off_m = np.hypot(errors["north_m"], errors["east_m"])
+        found[name] = Spread(
+            float(errors["north_m"].std()),
+            float(errors["east_m"].std()),
+            float(off_m.median()),
+            float((off_m > GROSS_M).mean()),
+            float(have.notna().mean()),
+        )
+    return found
+
+
+def _judged(own: Spread, plain: Spread, full: Spread) -> tuple[str, bool]:
+    ratios = [a / b if b else np.inf for a, b in zip(plain[:4], own[:4], strict=True)]
+    better = all(a < b or a == b == 0.0 for a, b in zip(own[:4], full[:4], strict=True))
+    met = (
+        all(have >= asked for have, asked in zip(ratios, RATIOS, strict=True))
+        and better
+        and own.fixed >= max(FIXED, full.fixed)
+    )
+    return f"{own}; ratios {', '.join(f'{ratio:.2f}' for ratio in ratios)}", met
+
+
+def measure(quick: bool, seeds: Sequence[int]) -> list[Figure]:
+    """CITY-PR; quick: a tunnel and a canyon, one seed."""
+    drives = [drive(seed, quick) for seed in (seeds[:1] if quick else seeds)]
+    found = spreads(drives)
+    figures = [Figure(f"{name}: σ N / E", str(found[name]), None) for name in (PLAIN, FULL)]
+    for name in AIDED:
+        text, met = _judged(found[name], found[PLAIN], found[FULL])
+        figures.append(Figure(f"{name}: σ N / E", text, None if quick else met))
+    return figures
+
+
+def exits_s(seen: Drive, name: str) -> list[float]:
+    """After every tunnel, time from enough satellites in sight to the first fix."""
+    tags, count = seen.unblocked.index.to_numpy(), seen.unblocked.to_numpy()
+    fixed = seen.runs[name]["fixed"].to_numpy()
+    waits, dark_since = [], None
+    for k, number in enumerate(count):
+        if number == 0:
+            dark_since = k if dark_since is None else dark_since
+        elif dark_since is not None and number >= _NEEDED:
+            if k - dark_since >= _DARK_S * _TAGS_HZ:
+                later = np.flatnonzero(fixed[k:])
+                end = float(tags[k + later[0]]) if later.size else np.inf
+                waits.append((end - float(tags[k])) / _TAGS_HZ)
+            dark_since = None
+    return waits
+
+
+def measure_exit(quick: bool, seeds: Sequence[int]) -> list[Figure]:
+    """CITY-EXIT."""
+    drives = [drive(seed, quick) for seed in (seeds[:1] if quick else seeds)]
+    figures = []
+    for name in (FULL, *AIDED):
+        waits_s = [wait for one in drives for wait in exits_s(one, name)]
+        longest_s = max(waits_s, default=np.inf)
+        met = None if name == FULL else longest_s <= EXIT_S
+        figures.append(
+            Figure(
+                f"{name}, {len(waits_s)} tunnels",
+                f"mean {np.mean(waits_s):.2f} s, longest {longest_s:.1f} s",
+                met,
+            )
+        )
+    return figures
