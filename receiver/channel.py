@@ -9,8 +9,6 @@ runs at +Doppler here; the observables turn its sign (see `observables`).
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +30,7 @@ from deepgnss.receiver.frequency_tracking import (
     spectral_lock,
 )
 from deepgnss.receiver.hearing import Hearing
+from deepgnss.receiver.interval import Interval, led_on, of_arc, turned
 from deepgnss.receiver.known_symbols import KnownSymbols, signs
 from deepgnss.receiver.locks import (
     FAINT_S,
@@ -52,13 +51,12 @@ from deepgnss.receiver.modes import (
     TrackingSettings,
     unaided,
 )
-from deepgnss.receiver.open_loop import Gap, Led, LoopMemory, phase_of, predicted_cycles
+from deepgnss.receiver.open_loop import OpenLoop
 from deepgnss.receiver.signals import Signal, code_runs, neighbour_correlation
 from deepgnss.receiver.sync import decided_signs
 from deepgnss.receiver.trackers import (
     NO_CORRECTION,
     Accumulated,
-    Correction,
     FrequencyLock,
     NcoState,
     PhaseLock,
@@ -70,28 +68,7 @@ from deepgnss.receiver.trackers import (
 from deepgnss.receiver.windows import Windows
 
 _PULLED_IN = 5.0  # over a phase loop's bandwidth: when its frequency is one
-_JUDGED_S = 1.0  # after a signal's return until its loops have shown what was off
 _HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
-
-
-class Interval(NamedTuple):
-    """A command with what was known when it was given, and what it was found to lack.
-
-    The observables read these: generators' state plus correction is the loop's estimate with the
-    interval's own correlations taken in, so it is less noisy and lags less than the generators.
-    """
-
-    command: NcoCommand
-    periods: int  # code periods since the channel started
-    code_valid: bool
-    phase_valid: bool
-    slips: int  # possible cycle slips so far, of the satellite: the number of the arc
-    phase_since: int  # sample of phase lock
-    cn0_dbhz: float
-    half_cycle: float | None  # 0 or ½ cycle once the polarity is known
-    correction: Correction = NO_CORRECTION  # what the interval's correlations said of it …
-    middle_s: float = 0.0  # … at its middle, s after the command
-    coasting: bool = False  # in open loop, by aiding
 
 
 def _coherent_periods(signal: Signal, coherent_s: float) -> int:
@@ -156,9 +133,7 @@ class Channel:
         self._symbol_sum = 0j
         self._symbol_periods = 0
         self._aiding = NO_AIDING
-        self._memory = LoopMemory(signal, sample_rate_hz)
-        self._gap: Gap | None = None
-        self._vouched: int | None = None  # sample at which somebody last looked after open loops
+        self._open = OpenLoop(signal, sample_rate_hz, settings.open_loop_phase_sigma_cycles)
         self.unproven = False  # the polarity was carried through an open loop
         self._since = sample  # sample of the last change of mode
         self._carrier_trackers: dict[Mode, Tracker] = {
@@ -424,132 +399,82 @@ class Channel:
         """See what an interval of the loops did beyond what was predicted of it."""
         if not self.aided:
             return
-        aid, gap = self._aiding, self._gap
-        beyond_cycles = turned_cycles - predicted_cycles(aid, elapsed_s)
         pulled_in_s = _PULLED_IN / self.settings.carrier_bandwidth_hz
+        self._open.saw(turned_cycles, shifted_chips, self._aiding, elapsed_s)
         if self.mode is Mode.PHASE and self.phase_valid and self.seconds_in_mode > pulled_in_s:
-            self._memory.learn(beyond_cycles / elapsed_s, elapsed_s, faint=False)
+            self._open.learn_phase(turned_cycles, self._aiding, elapsed_s)
         elif self.mode is Mode.WEAK:
-            offset_hz = self._carrier.frequency - aid.frequency_hz - aid.clock_hz
-            self._memory.learn(offset_hz, elapsed_s, faint=True)
-        if gap is not None and gap.returned is not None:
-            gap.code_chips += shifted_chips
-            if not gap.locked:
-                gap.phase_cycles += beyond_cycles - gap.offset_hz * elapsed_s
+            self._open.learn_frequency(self._carrier.frequency, self._aiding, elapsed_s)
 
     def _remember(
         self, command: NcoCommand, carrier: NcoState, aid: AidingRate, periods: int
     ) -> None:
         """Keep a command whose interval is over, for the case that its signal is just falling."""
-        gap = self._gap
         if aid == NO_AIDING or not self.aided:
-            self._memory.forget()
+            self._open.forget()
         else:
             chips = periods * self._length + command.code_chips
             power = self.locks.recent[-1] if self.locks.recent else 0.0
-            self._memory.remember(command.sample, carrier, chips, aid, power)
-        if gap is None:
-            return
-        if gap.returned is not None:
-            if self._seconds_since(gap.returned) >= _JUDGED_S:
-                self._tell_gap()
-        elif gap.carried and not self._vouched_for(2.0):
+            self._open.remember(command.sample, carrier, chips, aid, power)
+        if self.mode is Mode.HOLD and self._open.carried and not self._vouched_for(2.0):
             self._forget_phase()
+        self._tell(self._open.judged(self.command.sample))
 
     def _vouched_for(self, share: float) -> bool:
-        limit = share * self.settings.open_loop_phase_sigma_cycles
-        gap = self._gap
-        return (
-            gap is not None and self.aided and gap.vouched(self.command.sample, self._rate, limit)
-        )
+        return self.aided and self._open.vouched(self.command.sample, share)
 
     @property
     def phase_kept(self) -> bool:
         """Whether a phase carried through an open loop is right to the half cycle, or the whole."""
-        return self._vouched_for(1.0) or (self._vouched_for(2.0) and self._gap_signs() is not None)
+        return self._vouched_for(1.0) or (self._vouched_for(2.0) and self._held_signs() is not None)
 
-    def _gap_signs(self) -> list[FloatArray] | None:
+    def _held_signs(self) -> list[FloatArray] | None:
         """Signs of the last symbols of an open loop as they shall be seen; None if not known."""
-        if self._gap is None or self.half_cycle is None:
+        if self.half_cycle is None:
             return None
         upright = -1.0 if self.half_cycle else 1.0
         found = []
-        for first, sums in self._gap.symbols:
+        for first, sums in self._open.symbols:
             told = self._known_signs(first, sums.size)
             if told is None:
                 return None
             found.append(upright * told)
         return found
 
-    def _open_loop(self) -> str:
+    def _begin_open_loop(self) -> str:
         """Go back to before the signal fell, and on from there by aiding alone."""
-        memory, gap = self._memory, self._gap
-        if not self.aided or memory.empty:
-            self._gap = None
+        here, power = self.command.sample, self.locks.signal
+        if not self.aided:
             return ""
-        if gap is not None and gap.returned is not None and not gap.locked:  # it was not back
-            index = memory.before(gap.returned)
-            gap = replace(gap, returned=None, phase_cycles=0.0, code_chips=0.0)
-        else:
-            self._tell_gap()
-            if self.mode is Mode.WEAK:
-                index = memory.before_faint_fall()
-            else:
-                index = memory.before_fall(self.locks.signal)
-            gap = None
-        led = memory.led_on(index, self.command.sample, self._aiding)
-        memory.resume(index)
-        carried = self.phase_valid and self._phase_since <= led[0].sample
-        self._gap = gap or Gap(led[0].sample, self._vouched, carried)
-        self._gap.symbols.clear()
+        phase_since = self._phase_since if self.phase_valid else None
+        self._tell(self._open.fallen())
+        led = self._open.begin(
+            here, self._aiding, None if self.mode is Mode.WEAK else power, phase_since
+        )
+        if not led:
+            return ""
         self._carrier = led[-1].carrier
         self._code_offset_hz = 0.0
-        past = self.periods * self._length
-        self.command = self._command(self.command.sample, led[-1].chips - past)
-        self._rewrite_history({one.sample: one for one in led[:-1]}, self._gap.carried)
-        back_s = self._seconds_since(led[0].sample)
-        phase = "" if self._vouched_for(2.0) else "out"
-        return f"; from {back_s:.2f} s before open loop with{phase} phase"
+        self.command = self._command(here, led[-1].chips - self.periods * self._length)
+        carried = self._vouched_for(2.0)
+        self.history = led_on(self.history, led[:-1], self._length, phase=carried)
+        phase = "" if carried else "out"
+        return (
+            f"; from {self._seconds_since(led[0].sample):.2f} s before open loop with{phase} phase"
+        )
 
-    def _rewrite_history(self, led: dict[int, Led], carried: bool) -> None:
-        """What the loops did since the signal fell was noise: nobody shall observe it."""
-        self.history = [
-            i
-            if (one := led.get(i.command.sample)) is None
-            else i._replace(
-                command=i.command._replace(
-                    carrier_cycles=one.carrier.phase,
-                    carrier_hz=one.carrier.frequency,
-                    carrier_hzps=one.carrier.rate,
-                    code_chips=one.chips - i.periods * self._length,
-                ),
-                correction=NO_CORRECTION,
-                code_valid=False,
-                phase_valid=carried,
-                coasting=True,
-            )
-            for i in self.history
-        ]
-
-    def _close_loop(self, mode: Mode) -> None:
+    def _end_open_loop(self, mode: Mode) -> None:
         """The signal is back; a phase carried on is turned to what its first symbols show."""
-        gap = self._gap
-        if gap is None:
-            return
-        aid = self._aiding
-        gap.returned = self.command.sample
-        gap.offset_hz = self._carrier.frequency - aid.frequency_hz - aid.clock_hz
+        self._open.end(self.command.sample, self._carrier.frequency, self._aiding)
         if mode is Mode.PHASE:
-            gap.phase_cycles = phase_of([sums for _, sums in gap.symbols], self._gap_signs())
-            self._carrier = self._carrier._replace(phase=self._carrier.phase + gap.phase_cycles)
+            turn = self._open.seen_cycles(self._held_signs())
+            self._carrier = self._carrier._replace(phase=self._carrier.phase + turn)
             self.unproven = self.half_cycle is not None
             self._restart_symbols()
 
-    def _tell_gap(self) -> None:
-        """Say what an open loop came to."""
-        gap, self._gap = self._gap, None
-        if gap is not None and gap.returned is not None:
-            self._note("returned", gap.verdict(self.signal, self._rate))
+    def _tell(self, verdict: str) -> None:
+        if verdict:
+            self._note("returned", verdict)
 
     # --- detect, collect, decide -------------------------------------------------------------
 
@@ -562,8 +487,8 @@ class Channel:
                 self.locks = update_powers(self.locks, symbol, slow_s, size)
             else:
                 self.locks = update_locks(self.locks, symbol, size)
-        if self.mode is Mode.HOLD and self._gap is not None:
-            self._collect_held()
+        if self.mode is Mode.HOLD and self.edge is not None:
+            self._open.collect(self._taken[:, 1], self.periods)
         if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
             return
         prompts = self._taken[:, 1]
@@ -615,14 +540,6 @@ class Channel:
                 self.symbols.append(int(self._symbol_sum.real < 0.0))
             self._symbol_sum, self._symbol_periods = 0j, 0
 
-    def _collect_held(self) -> None:
-        """Keep the last whole symbols of an open loop: they may be the first of the signal."""
-        prompts, size = self._taken[:, 1], self.signal.symbol_periods
-        if self._gap is None or self.edge is None or prompts.size % size:
-            return
-        sums = prompts.reshape(-1, size) @ self.signal.secondary
-        self._gap.symbols.append((self.periods - prompts.size, sums))
-
     def _decide(self, seen: Accumulated) -> None:
         match decide(self, seen.period_s):
             case Go(mode, reason):
@@ -631,9 +548,7 @@ class Channel:
                 self._leave_false_lock(off_hz)
             case Locked(reason):
                 self.phase_valid = True
-                if self._gap is not None:
-                    self._gap.locked = True
-                if self._gap is None or not self._gap.carried:
+                if not self._open.locked():
                     self._phase_since = self.command.sample
                 self._note("phase lock", reason)
 
@@ -645,7 +560,7 @@ class Channel:
         self.command = self._command(self.command.sample, self.command.code_chips)
         self.locks = restart_phase(self.locks)
         self.windows.restart()
-        self._memory.forget()
+        self._open.forget()
         self._since = self.command.sample
         self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
 
@@ -665,16 +580,15 @@ class Channel:
         self.slips += 1
         self.half_cycle = None
         self.phase_valid = self.unproven = False
-        if self._gap is not None:
-            self._gap.carried = False
+        self._open.drop_phase()
 
     def _go(self, mode: Mode, reason: str) -> None:
         if mode not in TRANSITIONS[self.mode]:
             raise ValueError(f"{self.satellite}: no way from {self.mode.name} to {mode.name}")
         if mode is Mode.HOLD:
-            reason += self._open_loop()
+            reason += self._begin_open_loop()
         if self.mode is Mode.HOLD:
-            self._close_loop(mode)
+            self._end_open_loop(mode)
         keeps = {self.mode, mode} == {Mode.PHASE, Mode.HOLD} and self._vouched_for(2.0)
         if self.mode in (Mode.PHASE, Mode.HOLD) and not keeps:
             self._forget_phase()
@@ -728,10 +642,7 @@ class Channel:
         arc, self.half_cycle = self.slips, half_cycle
         if after != (before or 0.0):
             self.slips += 1
-        self.history = [
-            i._replace(slips=self.slips, half_cycle=half_cycle) if i.slips == arc else i
-            for i in self.history
-        ]
+        self.history = of_arc(self.history, arc, self.slips, half_cycle)
 
     # --- told from outside -----------------------------------------------------------------------
 
@@ -755,12 +666,10 @@ class Channel:
 
         None: somebody looks after open loops, and has nothing to say of this channel.
         """
-        self._vouched = self.command.sample
-        gap = self._gap
-        if move is None or not self.coasting:
-            return  # the signal is back: the loop sees for itself
-        if gap is not None:
-            gap.told, gap.sigma_cycles = self._vouched, move.sigma_cycles
+        coasts = move is not None and self.coasting  # else its loop sees for itself
+        self._open.look_after(self.command.sample, move if coasts else None)
+        if move is None or not coasts:
+            return
         self._move(-move.cycles, code=True)
 
     def mend(self, cycles: float | None, reason: str, *, told: bool) -> None:
@@ -778,10 +687,7 @@ class Channel:
         if cycles is None or told:
             before, self.slips = self.slips, self.slips + 1
             self.half_cycle = self.half_cycle if cycles is not None else None
-            self.history = [
-                i._replace(slips=self.slips, half_cycle=self.half_cycle) if i.slips == before else i
-                for i in self.history
-            ]
+            self.history = of_arc(self.history, before, self.slips, self.half_cycle)
         if cycles is None or cycles % 1.0:  # the symbols before it may be of the other sign
             self._restart_symbols()
 
@@ -790,26 +696,15 @@ class Channel:
 
         code: it is an open loop that is put right, and the code goes along.
         """
-        turn = np.exp(-2j * np.pi * math.fmod(cycles, 1.0))
         chips = cycles / self.signal.carrier_to_code if code else 0.0
-
-        def moved(command: NcoCommand) -> NcoCommand:
-            return command._replace(
-                carrier_cycles=command.carrier_cycles + cycles,
-                code_chips=command.code_chips + chips,
-            )
-
         self._carrier = self._carrier._replace(phase=self._carrier.phase + cycles)
-        self.command = moved(self.command)
-        self._taken[: self.filled] *= turn
+        self.command = turned(self.command, cycles, chips)
+        self._taken[: self.filled] *= np.exp(-2j * np.pi * math.fmod(cycles, 1.0))
         self.history = [
-            i._replace(command=moved(i.command)) if i.coasting or not code else i
+            i._replace(command=turned(i.command, cycles, chips)) if i.coasting or not code else i
             for i in self.history
         ]
-        self._memory.move(cycles, chips)
-        if self._gap is not None:
-            for _, sums in self._gap.symbols:
-                sums *= turn
+        self._open.move(cycles, chips)
 
     def _restart_symbols(self) -> None:
         """Begin a new stretch of symbols at the next edge."""
@@ -830,7 +725,7 @@ class Channel:
             self.command,
             self.periods,
             settled and self._code_loop.settled(self.command.sample),
-            self.phase_valid or (self.coasting and self._gap is not None and self._gap.carried),
+            self.phase_valid or (self.coasting and self._open.carried),
             self.slips,
             self._phase_since,
             self.cn0_dbhz,

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 from deepgnss.core.constants import SECONDS_PER_WEEK, SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import Observation, SampleInstant
-from deepgnss.receiver.channel import Channel, Interval
+from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock, from_ns
+from deepgnss.receiver.interval import Interval
 from deepgnss.receiver.trackers import NcoState, advance, corrected
 
 

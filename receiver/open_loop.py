@@ -11,12 +11,12 @@ import cmath
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import ComplexArray, FloatArray
-from deepgnss.receiver.modes import AidingRate
+from deepgnss.receiver.modes import AidingRate, Coast
 from deepgnss.receiver.signals import Signal
 from deepgnss.receiver.trackers import NcoState
 
@@ -25,6 +25,8 @@ _FAINT_S = 1.0  # before its fall is noticed
 _MEAN_S = 1.5  # of a phase loop's offset from the prediction …
 _FAINT_MEAN_S = 3.0  # … and of a frequency's
 _ENOUGH_S = 0.2  # of either before it is better than the loop's last frequency
+_JUDGED_S = 1.0  # after a signal's return until its loops have shown what was off
+_LOOKED_AT = 3  # updates whose symbols show the phase of a signal that is back
 _SILENCE_S = 0.5  # after which nobody vouches for a phase any more
 
 
@@ -60,7 +62,6 @@ class Gap:
     locked: bool = False  # the phase's error is known
     phase_cycles: float = 0.0  # by which loops found the carrier behind what was led on …
     code_chips: float = 0.0  # … and the code
-    symbols: deque[tuple[int, ComplexArray]] = field(default_factory=lambda: deque(maxlen=3))
 
     def vouched(self, sample: int, rate_hz: float, limit_cycles: float) -> bool:
         """Whether somebody still vouches for the phase carried on, to a 1σ."""
@@ -187,6 +188,151 @@ class LoopMemory:
                 )
             )
         return led
+
+
+class OpenLoop:
+    """What lets a channel run on without its signal and come back: memory, trust, and account."""
+
+    def __init__(self, signal: Signal, rate_hz: float, limit_cycles: float) -> None:
+        """limit_cycles: 1σ up to which a phase carried on is right to the half cycle."""
+        self._signal = signal
+        self._rate = rate_hz
+        self._limit = limit_cycles
+        self._memory = LoopMemory(signal, rate_hz)
+        self._gap: Gap | None = None
+        self._looked_after: int | None = None  # sample at which somebody last did
+        # Sums of the last symbols, by the code period each lot begins at.
+        self.symbols: deque[tuple[int, ComplexArray]] = deque(maxlen=_LOOKED_AT)
+
+    # --- trust -------------------------------------------------------------------------------
+
+    @property
+    def carried(self) -> bool:
+        """Whether a phase is carried on, or was until the signal came back."""
+        return self._gap is not None and self._gap.carried
+
+    def vouched(self, sample: int, share: float) -> bool:
+        """Whether somebody vouches for that phase, to so many times the limit."""
+        gap = self._gap
+        return gap is not None and gap.vouched(sample, self._rate, share * self._limit)
+
+    def look_after(self, sample: int, move: Coast | None) -> None:
+        """Somebody looks after open loops, and has moved this one or has nothing to say of it."""
+        self._looked_after = sample
+        if move is not None and self._gap is not None:
+            self._gap.told, self._gap.sigma_cycles = sample, move.sigma_cycles
+
+    def drop_phase(self) -> None:
+        """The phase does not go on."""
+        if self._gap is not None:
+            self._gap.carried = False
+
+    def move(self, cycles: float, chips: float) -> None:
+        """The generators were put right."""
+        self._memory.move(cycles, chips)
+        for _, sums in self.symbols:
+            sums *= cmath.rect(1.0, -math.tau * math.fmod(cycles, 1.0))
+
+    # --- memory ------------------------------------------------------------------------------
+
+    def forget(self) -> None:
+        """Nothing before counts: the loop was wrong, or nothing was predicted."""
+        self._memory.forget()
+
+    def remember(
+        self, sample: int, carrier: NcoState, chips: float, aid: AidingRate, power: float
+    ) -> None:
+        """Keep a command whose interval is over."""
+        self._memory.remember(sample, carrier, chips, aid, power)
+
+    def learn_phase(self, turned_cycles: float, aid: AidingRate, seconds: float) -> None:
+        """Take what a phase loop turned the carrier by into its mean offset."""
+        offset_hz = (turned_cycles - predicted_cycles(aid, seconds)) / seconds
+        self._memory.learn(offset_hz, seconds, faint=False)
+
+    def learn_frequency(self, frequency_hz: float, aid: AidingRate, seconds: float) -> None:
+        """The same of a loop that follows the frequency alone."""
+        self._memory.learn(frequency_hz - aid.frequency_hz - aid.clock_hz, seconds, faint=True)
+
+    # --- the way out and back ------------------------------------------------------------------
+
+    def fallen(self) -> str:
+        """The signal is gone (again): what became of the gap before, unless it still goes on."""
+        gap = self._gap
+        if gap is None or (gap.returned is not None and not gap.locked):
+            return ""
+        self._gap = None
+        return gap.verdict(self._signal, self._rate)
+
+    def begin(
+        self, sample: int, aid: AidingRate, power: float | None, phase_since: int | None
+    ) -> list[Led]:
+        """Generators led on to a sample from before the signal fell; empty if nothing is known.
+
+        power: of the signal in its mean, None: it was faint. phase_since: sample of phase lock.
+        """
+        memory, gap = self._memory, self._gap
+        if memory.empty:
+            self._gap = None
+            return []
+        if gap is not None and gap.returned is not None:  # it was not back: the gap goes on
+            index = memory.before(gap.returned)
+            self._gap = replace(gap, returned=None, phase_cycles=0.0, code_chips=0.0)
+        else:
+            index = memory.before_faint_fall() if power is None else memory.before_fall(power)
+        led = memory.led_on(index, sample, aid)
+        memory.resume(index)
+        if self._gap is None:
+            carried = phase_since is not None and phase_since <= led[0].sample
+            self._gap = Gap(led[0].sample, self._looked_after, carried)
+        self.symbols.clear()
+        return led
+
+    def collect(self, prompts: ComplexArray, end: int) -> None:
+        """Keep an update's symbols, up to a code period: they may be the first of the signal."""
+        size = self._signal.symbol_periods
+        if prompts.size % size == 0:
+            sums = prompts.reshape(-1, size) @ self._signal.secondary
+            self.symbols.append((end - prompts.size, sums))
+
+    def end(self, sample: int, frequency_hz: float, aid: AidingRate) -> None:
+        """The signal is back."""
+        if self._gap is not None:
+            self._gap.returned = sample
+            self._gap.offset_hz = frequency_hz - aid.frequency_hz - aid.clock_hz
+
+    def seen_cycles(self, signs: Sequence[FloatArray] | None) -> float:
+        """By how much the signal's first symbols are ahead of the phase carried on."""
+        turn = phase_of([sums for _, sums in self.symbols], signs)
+        if self._gap is not None:
+            self._gap.phase_cycles = turn
+        return turn
+
+    def saw(
+        self, turned_cycles: float, shifted_chips: float, aid: AidingRate, seconds: float
+    ) -> None:
+        """Count what loops do that are closed again, beyond what would have been led on."""
+        gap = self._gap
+        if gap is None or gap.returned is None:
+            return
+        gap.code_chips += shifted_chips
+        if not gap.locked:
+            led_cycles = predicted_cycles(aid, seconds) + gap.offset_hz * seconds
+            gap.phase_cycles += turned_cycles - led_cycles
+
+    def locked(self) -> bool:
+        """The phase counts from here on; whether it is the one carried on."""
+        if self._gap is not None:
+            self._gap.locked = True
+        return self.carried
+
+    def judged(self, sample: int) -> str:
+        """What the gap came to, once its return was long enough ago."""
+        gap = self._gap
+        if gap is None or gap.returned is None or sample - gap.returned < _JUDGED_S * self._rate:
+            return ""
+        self._gap = None
+        return gap.verdict(self._signal, self._rate)
 
 
 def predicted_cycles(aid: AidingRate, seconds: float) -> float:

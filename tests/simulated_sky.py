@@ -19,7 +19,8 @@ from deepgnss.core.records import (
 )
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver.baseband import RunningSumBuffer
-from deepgnss.receiver.channel import Channel, Interval
+from deepgnss.receiver.channel import Channel
+from deepgnss.receiver.interval import Interval
 from deepgnss.receiver.modes import TrackingSettings
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL
 from deepgnss.sim.constellation import nominal_gps

@@ -20,7 +20,7 @@ from simulated_sky import (
 )
 
 from deepgnss.core.records import FloatArray
-from deepgnss.receiver.channel import Interval
+from deepgnss.receiver.interval import Interval
 from deepgnss.receiver.modes import Mode, TrackingSettings
 from deepgnss.theory.tracking_error import dll_thermal_sigma_chips, pll_thermal_sigma_cycles
 

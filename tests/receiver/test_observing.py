@@ -13,8 +13,9 @@ from sampled_code import CARRIER_HZ, CHIP_HZ, signal_command
 from deepgnss.core.constants import SECONDS_PER_WEEK, SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import SampleInstant
 from deepgnss.core.time import GpsTime
-from deepgnss.receiver.channel import Channel, Interval
+from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock, from_ns, to_ns
+from deepgnss.receiver.interval import Interval
 from deepgnss.receiver.observables import Observed, PhaseMemory, observe
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL, Signal
 from deepgnss.receiver.trackers import Correction

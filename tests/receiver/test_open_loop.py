@@ -12,7 +12,8 @@ import pytest
 
 from deepgnss.core.records import Event, FloatArray, RunningSums
 from deepgnss.evaluate.reproduce.correlator_model import RATE_HZ, Model, run, start
-from deepgnss.receiver.channel import Channel, Interval
+from deepgnss.receiver.channel import Channel
+from deepgnss.receiver.interval import Interval
 from deepgnss.receiver.known_symbols import KnownSymbols
 from deepgnss.receiver.modes import AidingRate, Coast, Mode, TrackingSettings
 from deepgnss.receiver.open_loop import LoopMemory
@@ -473,3 +474,14 @@ def test_a_faint_phase_that_falls_is_held_and_not_tracked_as_noise() -> None:
         assert seen.named("hold").sample / RATE_HZ < GONE_S + 0.4
         held = [e.what for e in seen.events if e.sample > GONE_S * RATE_HZ]
         assert held[:3] == ["hold", "PLL", "phase lock"]
+
+
+def test_a_ghost_of_strong_neighbours_ends_no_phase_that_is_vouched_for() -> None:
+    """Cross-correlation stands some 24 dB below them; once nobody vouches, it is looked into."""
+    model = Model(lambda t: STRONG if t < GONE_S else -20.0 if t < GONE_S + 1.0 else 22.0)
+    kept = start(model, SETTINGS)
+    run_aided(kept, model, GONE_S + 5.0, sure)
+    assert kept.mode is Mode.HOLD
+    given_up = start(model, SETTINGS)
+    run_aided(given_up, model, GONE_S + 5.0, silent)
+    assert given_up.mode is Mode.WEAK
