@@ -74,14 +74,17 @@ class Profile:
         not average out of single values.
         """
         begin = (sample - self.first) / self.step
-        start, middle, end = (self._at(begin + share * self.ahead) for share in (0.0, 0.5, 1.0))
+        start, end = self._at(begin), self._at(begin + self.ahead)
+        middle = self._at(begin + 0.5 * self.ahead)
         rate_hzps = 4.0 * (end - 2.0 * middle + start) / AHEAD_S**2
         mean_hz = (end - start) / AHEAD_S
         return AidingRate(mean_hz - 0.5 * AHEAD_S * rate_hzps, rate_hzps, self.clock_hz)
 
     def _at(self, place: float) -> float:
         values = self.cycles
-        k = min(max(int(place), 0), len(values) - 2)
+        k = int(place)
+        if not 0 <= k < len(values) - 1:
+            k = 0 if k < 0 else len(values) - 2
         return values[k] + (place - k) * (values[k + 1] - values[k])
 
 
