@@ -37,6 +37,7 @@ from deepgnss.receiver.locks import (
     NO_LOCK,
     USUAL_S,
     cn0_dbhz,
+    dark,
     restart_phase,
     update_locks,
     update_powers,
@@ -223,6 +224,8 @@ class Channel:
         self._steer(seen, middle_s, end_s, aiding)
         self._detect(seen)
         self._collect_symbols(seen)
+        if self.phase_valid and dark(self.locks, self.signal.period_s):
+            self.history[-1] = self.history[-1]._replace(phase_valid=False)
         self._remember(*begun)
         self._decide(seen)
         self.history.append(self._interval())

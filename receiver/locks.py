@@ -18,6 +18,8 @@ _FAST_S = 0.1  # averaging that notices a blockage
 _RECENT = 5  # intervals that notice the blockage of a strong signal
 _FAINT = 30  # intervals that notice that a weak one went or came
 _INTERVAL_S = 0.02
+_PLAIN_DBHZ = 32.0  # of a signal whose absence is seen in a single interval …
+_DARK = 0.25  # … by its power
 _PHASE_S = 0.4  # averaging of what tells phase lock from false lock
 
 
@@ -204,6 +206,16 @@ def recent_cn0_dbhz(state: LockState, period_s: float, intervals: int = _RECENT)
         return 0.0
     recent = state.recent[-intervals:]
     return _cn0_dbhz(sum(recent) / len(recent), state.noise, period_s)
+
+
+def dark(state: LockState, period_s: float) -> bool:
+    """Whether the last interval has next to nothing of a strong signal.
+
+    At the least strength four sigma of the interval's noise lie between half the amplitude and
+    all of it.
+    """
+    strong = state.signal > 10.0 ** (0.1 * _PLAIN_DBHZ) * state.noise * period_s
+    return strong and state.recent[-1] < _DARK * state.signal
 
 
 def faint_cn0_dbhz(state: LockState, period_s: float) -> float:

@@ -251,6 +251,25 @@ def test_what_was_noise_is_observed_by_nobody() -> None:
         assert abs((2.0 * (i.command.carrier_cycles - true_cycles) + 0.5) % 1.0 - 0.5) < 0.03
 
 
+@pytest.mark.parametrize("cn0_dbhz", [47.0, 33.0])
+def test_until_the_fall_is_noticed_the_phase_is_not_put_out(cn0_dbhz: float) -> None:
+    model = Model(lambda t: -20.0 if t >= GONE_S else cn0_dbhz)
+    channel = start(model, SETTINGS)
+    seen: dict[int, bool] = {}
+    t = 0.0
+    while channel.mode is not Mode.HOLD:
+        t += 0.02
+        channel.begin_epoch()
+        channel.run(cast(RunningSums, SimpleNamespace(end=round(t * RATE_HZ))))
+        for i in channel.history[:-1]:
+            seen.setdefault(i.command.sample, i.phase_valid)
+    dark = [valid for sample, valid in seen.items() if sample > GONE_S * RATE_HZ]
+    light = [valid for sample, valid in seen.items() if 1.5 < sample / RATE_HZ < GONE_S - 0.02]
+    assert len(dark) >= 4
+    assert not any(dark)
+    assert all(light)
+
+
 def vague(t: float) -> Coast:
     return Coast(0.0, 0.01 if t < GONE_S + 3.0 else 0.2)
 
