@@ -10,7 +10,7 @@ does not flap.
 from __future__ import annotations
 
 import math
-from collections import deque
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
@@ -29,6 +29,8 @@ LONGEST_PATIENCE_S: Final = 180.0
 FASTEST_SIGMA_MPS: Final = 0.2
 """1σ of the antenna's velocity (per axis) with which aiding may begin: 1 Hz of carrier."""
 
+_FEWEST = 3  # epochs on which trust is founded
+_KEPT = 2000  # epochs, more than the longest limit's at 25 Hz
 _CAP = 10.0  # one wild fix is not a wrong log
 _PLACING = ("position", "velocity", "pseudorange", "range rate")
 
@@ -61,8 +63,11 @@ class Watch:
 
     trusted: bool = False
     distrusts: int = 0  # how often trust, or the navigation itself, was lost by contradiction
-    _strains: deque[tuple[GpsTime, float]] = field(default_factory=deque)
-    _since: GpsTime | None = None  # consistent from then on
+    _origin: GpsTime | None = None
+    _times_s: list[float] = field(default_factory=list)  # since `_origin`
+    _strains: list[float] = field(default_factory=list)
+    _sums: list[float] = field(default_factory=lambda: [0.0])  # of the strains up to each
+    _since_s: float | None = None  # consistent from then on
 
     @property
     def patience_s(self) -> float:
@@ -74,8 +79,8 @@ class Watch:
         if contradicted and self.trusted:
             self.distrusts += 1
         self.trusted = False
-        self._strains.clear()
-        self._since = None
+        self._times_s, self._strains, self._sums = [], [], [0.0]
+        self._since_s = None
 
     def take(self, innovations: Sequence[Innovation], velocity_sigma_mps: float) -> list[Turn]:
         """Take innovations in, in order of time; where trust began or ended.
@@ -84,38 +89,44 @@ class Watch:
         """
         turns = []
         for time, strain in _by_epoch(innovations):
-            self._strains.append((time, strain))
-            while time.since(self._strains[0][0]) > LIMITS[-1].seconds:
-                self._strains.popleft()
-            worst = self._exceeded(time)
+            now_s = self._note(time, strain)
+            worst = self._exceeded(now_s)
             if worst:
-                self._since = None
+                self._since_s = None
                 if self.trusted:
                     turns.append(Turn(time, False, worst))
                     self.trusted = False
                     self.distrusts += 1
-            elif self._since is None:
-                self._since = time
-        if self._ripe(velocity_sigma_mps) and self._strains:
-            reason = f"consistent for {self.patience_s:.0f} s"
-            self.trusted = True
-            turns.append(Turn(self._strains[-1][0], True, reason))
+            elif self._since_s is None:
+                self._since_s = now_s
+            if self._ripe(now_s, velocity_sigma_mps):
+                turns.append(Turn(time, True, f"consistent for {self.patience_s:.0f} s"))
+                self.trusted = True
         return turns
 
-    def _ripe(self, velocity_sigma_mps: float) -> bool:
-        if self.trusted or self._since is None or velocity_sigma_mps > FASTEST_SIGMA_MPS:
-            return False
-        now = self._strains[-1][0]
-        since_s = now.since(self._since)
-        strain, epochs = self._mean(now, min(since_s, LIMITS[-1].seconds))
-        return since_s >= self.patience_s and epochs >= LIMITS[0].epochs and strain <= _CONSISTENT
+    def _note(self, time: GpsTime, strain: float) -> float:
+        self._origin = self._origin or time
+        self._times_s.append(time.since(self._origin))
+        self._strains.append(strain)
+        self._sums.append(self._sums[-1] + strain)
+        if len(self._strains) > 2 * _KEPT:
+            self._times_s, self._strains = self._times_s[-_KEPT:], self._strains[-_KEPT:]
+            self._sums = self._sums[-_KEPT - 1 :]
+        return self._times_s[-1]
 
-    def _exceeded(self, now: GpsTime) -> str:
+    def _ripe(self, now_s: float, velocity_sigma_mps: float) -> bool:
+        if self.trusted or self._since_s is None or velocity_sigma_mps > FASTEST_SIGMA_MPS:
+            return False
+        since_s = now_s - self._since_s
+        strain, epochs = self._mean(now_s, min(since_s, LIMITS[-1].seconds))
+        return since_s >= self.patience_s and epochs >= _FEWEST and strain <= _CONSISTENT
+
+    def _exceeded(self, now_s: float) -> str:
         """The limit that the strain exceeds, in words; empty: none."""
         for limit in LIMITS:
-            strain, epochs = self._mean(now, limit.seconds)
+            strain, epochs = self._mean(now_s, limit.seconds)
             if limit is LIMITS[0]:  # a few wild fixes, as after a tunnel, are not its fault
-                strain = min(strain, self._median(now, limit.seconds))
+                strain = min(strain, float(np.median(self._strains[-epochs:])))
             if epochs >= limit.epochs and strain > limit.strain:
                 times = f"{math.sqrt(strain):.1f}" if strain < _CAP else "more than 3"
                 return (
@@ -124,12 +135,11 @@ class Watch:
                 )
         return ""
 
-    def _median(self, now: GpsTime, seconds: float) -> float:
-        return float(np.median([x for time, x in self._strains if now.since(time) <= seconds]))
-
-    def _mean(self, now: GpsTime, seconds: float) -> tuple[float, int]:
-        inside = [strain for time, strain in self._strains if now.since(time) <= seconds]
-        return (float(np.mean(inside)), len(inside)) if inside else (0.0, 0)
+    def _mean(self, now_s: float, seconds: float) -> tuple[float, int]:
+        """Mean strain of the last seconds, and the number of epochs."""
+        first = bisect_left(self._times_s, now_s - seconds - 1e-6)
+        count = len(self._times_s) - first
+        return (self._sums[-1] - self._sums[first]) / max(count, 1), count
 
 
 def _by_epoch(innovations: Sequence[Innovation]) -> list[tuple[GpsTime, float]]:

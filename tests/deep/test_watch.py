@@ -1,0 +1,173 @@
+"""The watch on the navigation: when trust begins and ends, and what a log is blamed for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deepgnss.core.time import GpsTime
+from deepgnss.deep.guard import Guard, Unit
+from deepgnss.deep.time_offset import CarrierLoop, StretchFit
+from deepgnss.deep.watch import PATIENCE_S, Turn, Watch, bias_finding, travel_finding
+from deepgnss.ins.updates import Innovation
+from deepgnss.io.config.imu_grade import imu_grade
+
+START = GpsTime(2300, 604_790.0)  # the week ends on the way
+SURE_MPS = 0.05
+STIM300 = imu_grade("STIM300")
+ZERO = np.zeros(3)
+
+
+def _innovations(time_s: float, nis: float) -> list[Innovation]:
+    """Those of a fix: the position's is small, as its σ are generous."""
+    time = START.plus(time_s)
+    return [
+        Innovation(time, "position", ZERO, 0.02, True),
+        Innovation(time, "velocity", ZERO, nis, nis < 16.3),
+        Innovation(time, "nonholonomic", np.zeros(2), 90.0, False),
+    ]
+
+
+def _run(
+    watch: Watch, from_s: float, until_s: float, nis: float, step_s: float = 0.1
+) -> list[Turn]:
+    turns = []
+    for time_s in np.arange(from_s, until_s, step_s):
+        turns += watch.take(_innovations(float(time_s), nis), SURE_MPS)
+    return turns
+
+
+def test_trust_is_earned_lost_and_earned_again_with_growing_patience() -> None:
+    watch = Watch()
+    (first,) = _run(watch, 0.0, 10.0, 2.5)
+    assert first.trusted
+    assert first.time.since(START) == pytest.approx(PATIENCE_S, abs=0.11)
+    for turn in range(1, 4):
+        from_s = 300.0 * turn
+        (lost,) = _run(watch, from_s, from_s + 5.0, 60.0)
+        assert not lost.trusted
+        assert "times what the navigation expects" in lost.reason
+        assert lost.time.since(START) - from_s < 1.0
+        (again,) = _run(watch, from_s + 5.0, from_s + 290.0, 2.5)
+        assert again.trusted
+        assert again.time.since(lost.time) > PATIENCE_S * 3.0**turn
+        assert watch.distrusts == turn
+
+
+def test_a_log_that_never_fits_is_never_trusted() -> None:
+    assert _run(Watch(), 0.0, 120.0, 200.0) == []
+
+
+def test_wild_fixes_cost_no_trust() -> None:
+    """After a tunnel velocities may be wild, one here and there or a few on end."""
+    watch = Watch()
+    _run(watch, 0.0, 10.0, 2.0)
+    assert _run(watch, 10.0, 10.4, 500.0) == []
+    for k in range(110, 300):
+        nis = 300.0 if k % 10 == 0 else 1.0
+        assert watch.take(_innovations(0.1 * k, nis), SURE_MPS) == []
+    assert watch.trusted
+
+
+def test_little_by_little_counts_too() -> None:
+    """Twice the σ it should have, for a minute; fixes once a second."""
+    watch = Watch()
+    _run(watch, 0.0, 10.0, 2.0, 1.0)
+    assert watch.trusted
+    (lost,) = _run(watch, 10.0, 90.0, 3.0 * 2.2, 1.0)
+    assert not lost.trusted
+    assert 20.0 < lost.time.since(START) < 75.0
+
+
+def test_a_vague_velocity_is_no_aid() -> None:
+    watch = Watch()
+    for k in range(100):
+        assert watch.take(_innovations(0.1 * k, 2.0), 0.5) == []
+    (turn,) = watch.take(_innovations(10.0, 2.0), SURE_MPS)
+    assert turn.trusted
+
+
+def test_a_new_start_is_trusted_anew() -> None:
+    watch = Watch()
+    _run(watch, 0.0, 10.0, 2.0)
+    watch.restart(contradicted=False)
+    assert not watch.trusted
+    assert watch.patience_s == PATIENCE_S
+    _run(watch, 10.0, 15.0, 2.0)
+    watch.restart(contradicted=True)
+    assert watch.patience_s == 3.0 * PATIENCE_S
+
+
+def test_most_of_the_ranges_decide() -> None:
+    """Tight coupling: one reflected range is not the log's fault, half of them are."""
+    watch = Watch()
+    for k in range(300):
+        found = [
+            Innovation(START.plus(0.1 * k), "pseudorange", np.zeros(1), nis, nis < 10.0)
+            for nis in (0.5, 1.0, 0.8, 400.0, 1.1)
+        ]
+        turns = watch.take(found, SURE_MPS)
+        assert all(turn.trusted for turn in turns)
+    assert watch.trusted
+
+
+# --- what is wrong -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("forward_b", "yaw_deg", "expected"),
+    [
+        ((1.0, 0.05, 0.0), 0.0, ""),
+        ((0.0, 1.0, 0.0), 0.0, "right"),
+        ((0.0, -1.0, 0.1), 0.0, "left"),
+        ((0.1, 0.0, 1.0), 0.0, "down"),
+        ((0.0, -1.0, 0.0), 90.0, ""),  # mounted with its x axis to the right
+        ((-1.0, 0.0, 0.0), 0.0, ""),  # reversing
+        ((0.0, 0.0, 0.0), 0.0, ""),  # too slow to tell
+    ],
+)
+def test_direction_of_travel_tells_axes(
+    forward_b: tuple[float, ...], yaw_deg: float, expected: str
+) -> None:
+    found = travel_finding([np.array(forward_b)] * 3, np.radians(yaw_deg))
+    assert bool(found) is bool(expected)
+    assert expected in found
+
+
+def test_biases_tell_the_grade() -> None:
+    """Ten times those of its grade; the drift of a long run is allowed for."""
+    grade = STIM300
+    tenfold = np.array([0.0, 10.0 * grade.gyro_bias_radps, 0.0])
+    assert "10 times" in bias_finding(tenfold, ZERO, grade, 60.0)
+    assert "gyros" in bias_finding(tenfold, ZERO, grade, 60.0)
+    assert bias_finding(0.3 * tenfold, ZERO, grade, 60.0) == ""
+    force = np.array([10.0 * grade.accel_bias_mps2, 0.0, 0.0])
+    assert "accelerometers" in bias_finding(ZERO, force, grade, 60.0)
+    wandering = grade._replace(gyro_drift_radps2_rthz=grade.gyro_bias_radps)
+    assert bias_finding(tenfold, ZERO, wandering, 600.0) == ""
+
+
+@pytest.mark.parametrize("late_s", [0.1, -0.1])
+def test_a_late_log_is_said_with_the_setting_that_mends_it(late_s: float) -> None:
+    """Late by 0.1 s on top of a setting of 0.02 s: −0.08 s it must be."""
+    guard = Guard(Unit(STIM300, ZERO, 0.0, 0.02), CarrierLoop(3, 7.0, 0.02))
+    fits = [StretchFit(10.0 * k, late_s, 0.003, 0.006, 1.0, ZERO, ZERO, ZERO) for k in range(4)]
+    guard._offsets.fits.extend(fits)
+    (line,) = guard.warnings()
+    assert f"0.100 s {'late' if late_s > 0.0 else 'early'}" in line
+    assert f"imu.time_offset: {0.02 - late_s:.3f}" in line
+    assert guard.correction_s() is None  # nobody asked
+    assert guard.summary()["late_s"] == pytest.approx(late_s)
+
+
+def test_auto_takes_it_off_and_keeps_the_account() -> None:
+    guard = Guard(Unit(STIM300, ZERO, 0.0, None), CarrierLoop(3, 7.0, 0.02))
+    fits = [StretchFit(10.0 * k, 0.1, 0.003, 0.006, 1.0, ZERO, ZERO, ZERO) for k in range(4)]
+    guard._offsets.fits.extend(fits)
+    moved_s = guard.correction_s()
+    assert moved_s == pytest.approx(-0.1)
+    assert moved_s is not None
+    guard.corrected(moved_s)
+    assert guard.correction_s() is None
+    assert guard.offset.late_s == pytest.approx(0.1)
+    assert guard.summary()["taken_off_s"] == pytest.approx(0.1)
