@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -104,8 +105,11 @@ def main() -> None:
     for seed in options.seeds:
         with TemporaryDirectory(prefix="deepgnss-") as folder:
             drive = simulated(Path(folder), seed)
-            rows = [processed(drive, "deep: false", None, options.seconds)]
-            rows += [processed(drive, name, LOGS[name], options.seconds) for name in options.logs]
+            changes = {"deep: false": None} | {name: LOGS[name] for name in options.logs}
+            rows = [
+                [name, *processed(drive, change, options.seconds).row()]
+                for name, change in changes.items()
+            ]
             print(f"\nseed {seed}\n\n{markdown(HEADS, rows)}", flush=True)
 
 
@@ -117,8 +121,33 @@ def simulated(folder: Path, seed: int) -> Path:
     return folder
 
 
-def processed(drive: Path, name: str, change: Change | None, seconds: float) -> list[str]:
-    """A row of the table: one run, with a log or unaided."""
+class Figures(NamedTuple):
+    """What a run came to."""
+
+    fixed: float  # share of the epochs
+    rms_m: float  # horizontal
+    percentile95_m: float
+    lost: int  # satellites
+    arcs: int  # of phase, of the five highest satellites
+    slips: int  # possible ones, of all
+    phase_mm: float  # of the five highest, against truth
+    aided_s: float
+    warnings: tuple[str, ...]
+
+    def row(self) -> list[str]:
+        """Cells of the table."""
+        return [
+            f"{100.0 * self.fixed:.1f} %",
+            f"{self.rms_m:.2f} / {self.percentile95_m:.2f}",
+            *(str(count) for count in (self.lost, self.arcs, self.slips)),
+            f"{self.phase_mm:.2f}",
+            f"{self.aided_s:.0f}",
+            " ".join(self.warnings) or "–",
+        ]
+
+
+def processed(drive: Path, change: Change | None, seconds: float) -> Figures:
+    """One run, with a log or unaided."""
     place = pd.read_csv(drive / "truth.csv", nrows=1)[["lat_deg", "lon_deg", "height_m"]]
     settings = {
         "start": "causal",
@@ -138,11 +167,11 @@ def processed(drive: Path, name: str, change: Change | None, seconds: float) -> 
     given = [part for key, value in settings.items() for part in ("--set", f"{key}={value}")]
     command = [DEEPGNSS, "process", drive / "rec.bin", "--config", drive / "config.yaml", *given]
     subprocess.run(command, check=True, capture_output=True)
-    return [name, *figures(drive)]
+    return figures(drive)
 
 
-def figures(drive: Path) -> list[str]:
-    """What a run came to."""
+def figures(drive: Path) -> Figures:
+    """Read a run's outputs against the truth."""
     out = drive / "out"
     solution = pd.read_csv(out / "solution.csv")
     observed = pd.read_csv(out / "observations.csv", low_memory=False)
@@ -158,16 +187,17 @@ def figures(drive: Path) -> list[str]:
     accuracy = satellite_accuracy(errors, high)
     phase_mm = 1e3 * float(np.sqrt((accuracy["phase_sigma_m"] ** 2).mean()))
     inertial = json.loads((out / "summary.json").read_text()).get("inertial", {})
-    return [
-        f"{100.0 * len(valid) / len(solution):.1f} %",
-        f"{np.sqrt(np.mean(errors_m**2)):.2f} / {np.quantile(errors_m, 0.95):.2f}",
-        str(lost),
-        str(int(accuracy["arcs"].sum())),
-        str(int((phase["slip"] == 1).sum())),
-        f"{phase_mm:.2f}",
-        f"{inertial.get('trusted_s', 0.0):.0f}",
-        " ".join(inertial.get("warnings", [])) or "–",
-    ]
+    return Figures(
+        len(valid) / len(solution),
+        float(np.sqrt(np.mean(errors_m**2))),
+        float(np.quantile(errors_m, 0.95)),
+        lost,
+        int(accuracy["arcs"].sum()),
+        int((phase["slip"] == 1).sum()),
+        phase_mm,
+        inertial.get("trusted_s", 0.0),
+        tuple(inertial.get("warnings", ())),
+    )
 
 
 def horizontal_m(solution: pd.DataFrame, truth: pd.DataFrame) -> np.ndarray:

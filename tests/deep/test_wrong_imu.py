@@ -1,0 +1,50 @@
+"""A wrong inertial log ends in one clear warning, and in results no worse than without any."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+_BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+SECONDS = 60.0
+
+
+@pytest.fixture(scope="module")
+def bench() -> ModuleType:
+    """The benchmark whose runs these are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(_BENCHMARKS)
+        return importlib.import_module("wrong_imu")
+
+
+@pytest.fixture(scope="module")
+def drive(bench: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short drive through a city."""
+    return Path(bench.simulated(tmp_path_factory.mktemp("city"), 1))
+
+
+@pytest.mark.slow
+def test_wrong_logs_cost_nothing_and_are_named(bench: ModuleType, drive: Path) -> None:
+    alone = bench.processed(drive, None, SECONDS)
+    assert alone.aided_s == 0.0
+    named = {
+        "axes RFU for FRD": "axis: imu.axes",
+        "axes left-handed": "imu.axes",
+        "0.1 s late": "imu.time_offset: -0.1",
+        "biases ×10": "",  # within the drift of its grade: no harm, no warning
+        "another drive's": "contradicts the satellites",
+    }
+    for name, words in named.items():
+        run = bench.processed(drive, bench.LOGS[name], SECONDS)
+        print(name, run)
+        assert len(run.warnings) == (1 if words else 0), name
+        assert words in " ".join(run.warnings), name
+        assert run.fixed >= alone.fixed - 0.01, name
+        assert run.rms_m <= 1.1 * alone.rms_m + 0.05, name
+        assert run.percentile95_m <= 1.1 * alone.percentile95_m + 0.1, name
+        assert run.lost <= alone.lost, name
+        assert run.arcs <= alone.arcs, name
+        assert run.phase_mm <= 1.1 * alone.phase_mm, name
