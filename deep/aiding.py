@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -65,7 +65,7 @@ class Profile:
     step: float
     ahead: float
     cycles: Sequence[float]  # since the first point
-    clock_hz: float  # what the receiver's clock adds to its Doppler
+    clock_hz: float  # what open loop adds to it: the receiver's clock, and what is known better
 
     def __call__(self, sample: int) -> AidingRate:
         """Doppler at a sample and its slope over the update that begins there.
@@ -180,6 +180,7 @@ class Skyline(NamedTuple):
     delay_rate_mps: FloatArray  # the atmosphere's share
 
 
+_NO_ERROR: Final = np.zeros(3)
 NO_SKYLINE = Skyline({}, Sights(np.zeros(2), np.zeros((2, 0)), np.zeros((2, 0, 3))), np.zeros(0))
 
 
@@ -200,10 +201,12 @@ class Aider:
         nav: NavData,
         clock: ReceiverClock,
         drift_sps: float,
+        velocity_error_e_mps: FloatArray = _NO_ERROR,
     ) -> dict[str, Profile]:
         """Profiles by satellite over an epoch, for those whose orbit is known.
 
-        drift_sps: of the receiver's clock, as open loop shall have it.
+        For open loop alone: drift of the receiver's clock, s/s, and what carrier phases say of the
+        trajectory's velocity, estimate − truth.
         """
         self.skyline = NO_SKYLINE
         begin, end = (instant.since(trajectory.origin) for instant in span)
@@ -227,8 +230,9 @@ class Aider:
         )
         start_s = motion.origin.since(from_ns(clock.origin_ns)) + float(motion.time_s[0])
         step_s = float(motion.time_s[1] - motion.time_s[0])
+        slower_mps = sights.toward_e[0] @ velocity_error_e_mps
         made = {}
-        for (listener, _), one_mps in zip(known, rates_mps, strict=True):
+        for (listener, _), one_mps, less_mps in zip(known, rates_mps, slower_mps, strict=True):
             carrier_hz = listener.signal.carrier_hz
             wavelength_m = SPEED_OF_LIGHT_MPS / carrier_hz
             made[listener.satellite] = Profile(
@@ -236,7 +240,7 @@ class Aider:
                 step=step_s * listener.rate_hz,
                 ahead=AHEAD_S / step_s,
                 cycles=(np.append(0.0, np.cumsum(one_mps)) * (-step_s / wavelength_m)).tolist(),
-                clock_hz=-drift_sps * carrier_hz,
+                clock_hz=float(-drift_sps * carrier_hz - less_mps / wavelength_m),
             )
         return made
 

@@ -85,6 +85,7 @@ class CoupledNavigation:
         self._aided = False  # in the last step
         self._model_drift_sps = 0.0  # of the receiver's clock model in the last step
         self._drift_sps = 0.0  # of its oscillator, as the last solution had it
+        self._velocity_error_e_mps = np.zeros(3)  # of the navigation, as the phases had it
 
     def before(self, receiver: Receiver, first: int, end: int) -> Aids:
         """Aiding for samples [first, end) of the receiver's first stream."""
@@ -107,7 +108,15 @@ class CoupledNavigation:
         ]
         known_sps = self._bridge.drift_sps
         drift_sps = self._drift_sps if known_sps is None else known_sps
-        profiles = self._aider.profiles(trajectory, span, listeners, receiver.nav, clock, drift_sps)
+        profiles = self._aider.profiles(
+            trajectory,
+            span,
+            listeners,
+            receiver.nav,
+            clock,
+            drift_sps,
+            self._velocity_error_e_mps,
+        )
         antenna = trajectory.antenna(trajectory.time_s[-1:], self._aider.lever_b_m)
         screen = None
         if self.screening is not None:
@@ -174,6 +183,7 @@ class CoupledNavigation:
             drift_sigma = float(np.sqrt(solution.velocity_covariance_m2ps2[3, 3]))
             drift_sigma /= SPEED_OF_LIGHT_MPS
         if state is None or clock is None or not self.guard.trusted:
+            self._velocity_error_e_mps = np.zeros(3)
             return self._bridge.stop(fix.coasting)
         if state.leg is None:
             return Bridged()
@@ -189,7 +199,12 @@ class CoupledNavigation:
             estimate.P[inertial, inertial],
             C_ne(estimate.ins.lat_rad, estimate.ins.lon_rad),
         )
-        return self._bridge.take(tag, self._aider.skyline)
+        bridged = self._bridge.take(tag, self._aider.skyline)
+        wrong_n_mps = self._bridge.velocity_error_n_mps
+        self._velocity_error_e_mps = (
+            np.zeros(3) if wrong_n_mps is None else tag.C_ne.T @ wrong_n_mps
+        )
+        return bridged
 
 
 def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNavigation:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
@@ -11,19 +15,24 @@ from deepgnss.core.records import BDS_B1I, GPS_L1CA, Ephemeris, FloatArray
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.aiding import (
     AHEAD_S,
+    Aider,
+    Listener,
     Motion,
     Profile,
     carrier_delay_rates,
     range_rates,
     sights_over,
 )
+from deepgnss.ins.trajectory import Trajectory
 from deepgnss.receiver import orbits
+from deepgnss.receiver.clock import ReceiverClock, to_ns
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.weights import delays
 from deepgnss.sim.constellation import nominal
 
 START = GpsTime(2290, 382_300.0)
 NAV = nominal(START, 60.0, "GC")
+SIGNALS = {"G": GPS_L1CA, "C": BDS_B1I}
 PLACE_E_M = ecef(0.912, 0.184, 120.0)
 
 
@@ -114,3 +123,37 @@ def test_doppler_is_positive_when_range_shrinks() -> None:
     sights = sights_over(ephemerides, still)
     gained_hz = -(range_rates(sights, nearer) - range_rates(sights, still)) / wavelength_m
     np.testing.assert_allclose(gained_hz, 1.0, atol=1e-4)
+
+
+class _Straight:
+    """A trajectory from the place at a constant velocity."""
+
+    origin = START
+    time_s = np.linspace(-0.1, 0.3, 41)
+
+    def __init__(self, v_e_mps: FloatArray) -> None:
+        self._v_e_mps = v_e_mps
+
+    def antenna(self, time_s: FloatArray, _lever_b_m: FloatArray) -> SimpleNamespace:
+        return SimpleNamespace(r_e_m=PLACE_E_M + np.outer(time_s, self._v_e_mps))
+
+
+def test_open_loop_is_led_by_the_velocity_that_phases_have_put_right() -> None:
+    """A navigation too fast by an error that is known, against one that is right."""
+    right_e_mps, error_e_mps = np.array([3.0, -7.0, 2.0]), np.array([0.4, 0.3, -0.5])
+    listeners = [Listener(e.satellite, SIGNALS[e.satellite[0]], 4e6) for e in _in_view()]
+    clock = ReceiverClock(Fraction(4_000_000), to_ns(START))
+    span = (START, START.plus(0.1))
+
+    def led_hz(v_e_mps: FloatArray, *error: FloatArray) -> FloatArray:
+        aider = Aider(PvtParameters(), np.zeros(3))
+        way = cast(Trajectory, _Straight(v_e_mps))
+        made = aider.profiles(way, span, listeners, NAV, clock, 2e-9, *error)
+        told = [made[listener.satellite](200_000) for listener in listeners]
+        return np.array([one.frequency_hz + one.clock_hz for one in told])
+
+    right_hz = led_hz(right_e_mps)
+    wrong_hz = led_hz(right_e_mps + error_e_mps)
+    mended_hz = led_hz(right_e_mps + error_e_mps, error_e_mps)
+    assert np.abs(wrong_hz - right_hz).max() > 1.0
+    np.testing.assert_allclose(mended_hz, right_hz, atol=2e-3)
