@@ -29,10 +29,11 @@ from deepgnss.receiver.known_symbols import KnownSymbols, Sent, foretold, rememb
 from deepgnss.receiver.messages import Frame, Subframe
 from deepgnss.receiver.modes import Mode, TrackingSettings
 from deepgnss.receiver.observables import PhaseMemory, observe
-from deepgnss.receiver.search import Place, Searcher, SearchSettings, Sight
+from deepgnss.receiver.search import Place, Searcher, SearchSettings, Sight, predict_sights
 from deepgnss.receiver.signals import Signal
 from deepgnss.receiver.smoothing import HatchState, smooth
 
+_FITS = 0.05  # code periods, 15 km: a channel on another signal fits one time in ten
 _FORETOLD_S = 0.7  # that must be known ahead: a window and more
 
 
@@ -167,11 +168,36 @@ class Bank:
         self, channel: Channel, sight: Sight, first: int, clock: ReceiverClock
     ) -> None:
         """Transmit time and symbol edges from the predicted travel time (known to ≪ 0.5 ms)."""
-        command = channel.command
-        wait_ns = float((command.sample - first) / self.rate_hz) * NS
-        sent_ns = clock.origin_ns + round(clock.gpst_ns(first) + sight.transmit_s * NS + wait_ns)
-        channel.anchor = round(sent_ns / (self.signal.period_s * NS))
+        channel.anchor, _ = self._predicted_anchor(channel, sight, first, clock)
         channel.set_edge(-channel.anchor, "predicted travel time")
+
+    def _predicted_anchor(
+        self, channel: Channel, sight: Sight, first: int, clock: ReceiverClock
+    ) -> tuple[int, float]:
+        """A channel's anchor by a prediction at a sample, and the code periods it misses by."""
+        command, period_ns = channel.command, self.signal.period_s * NS
+        wait_s = float((command.sample - first) / self.rate_hz)
+        into_s = command.code_chips / self.signal.id.chip_rate_hz
+        ahead_ns = round(clock.gpst_ns(first) + (sight.transmit_s + wait_s - into_s) * NS)
+        sent_ns = clock.origin_ns + ahead_ns
+        begun = round(sent_ns / period_ns)
+        return begun - channel.periods, (sent_ns - begun * round(period_ns)) / period_ns
+
+    def anchor_faint(
+        self, place: Place, nav: NavData, clock: ReceiverClock, first: int
+    ) -> list[Event]:
+        """Give channels too weak to be read their transmit time, where code and symbols fit it."""
+        told = []
+        for channel in self.tracked():
+            if channel.mode is not Mode.WEAK or channel.anchor is not None or channel.edge is None:
+                continue
+            for sight in predict_sights(place, nav, self.signal, [channel.satellite]):
+                anchor, off = self._predicted_anchor(channel, sight, first, clock)
+                if abs(off) < _FITS and (anchor + channel.edge) % self.signal.symbol_periods == 0:
+                    channel.anchor = anchor
+                    detail = "predicted travel time"
+                    told.append(Event(first, channel.satellite, "frame sync", detail))
+        return told
 
     def retire(self) -> list[Channel]:
         """Take lost channels out and return them."""

@@ -298,6 +298,8 @@ class Receiver:
             feed = feeds[bank.signal.id.name]
             found = bank.search(feed, window, place, self.nav, clock, self.accounts, self._executor)
             self._log(found, bank)
+            if place is not None and clock is not None and not place.moving:
+                self._log(bank.anchor_faint(place, self.nav, clock, window[0]), bank)
 
     # --- messages and time ---------------------------------------------------------------------
 

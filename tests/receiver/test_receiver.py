@@ -77,6 +77,29 @@ def test_with_time_place_and_orbits_the_first_epoch_knows_all() -> None:
         assert (channel.anchor + channel.edge) % 20 == 0
 
 
+@pytest.mark.parametrize(("shift", "told"), [(0, True), (1, False)])
+def test_a_channel_too_weak_to_be_read_gets_its_time_by_prediction(shift: int, told: bool) -> None:
+    """Where its symbol edges are those predicted."""
+    sky = shared_sky()
+    place_e_m = sky.scenario.vehicle.point(np.zeros(1)).r_m[0]
+    knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m)
+    receiver = _receiver(knowledge)
+    feed = _feed()
+    for k in range(4):
+        receiver.step({"GPS_L1CA": feed}, k * 260_000, (k + 1) * 260_000)
+    channel = receiver.channels[0]
+    anchor, channel.anchor, channel.mode = channel.anchor, None, Mode.WEAK
+    assert anchor is not None
+    assert channel.edge is not None
+    channel.edge += shift
+    place = receiver._place(4 * 260_000)
+    assert place is not None
+    assert receiver.clock is not None
+    events = receiver.banks[0].anchor_faint(place, receiver.nav, receiver.clock, 4 * 260_000)
+    assert [event.satellite for event in events] == [channel.satellite] * told
+    assert channel.anchor == (anchor if told else None)
+
+
 def test_a_screened_range_leaves_the_position_and_stays_observed() -> None:
     """The screen is asked once a tag, before its position; its reason stands in the solution."""
     sky = shared_sky()
