@@ -1,0 +1,90 @@
+"""CITY-PR, CITY-EXIT: corrections have their sign, tunnels their ends, shares their epochs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from deepgnss.core.records import Epoch, SampleInstant
+from deepgnss.core.time import GpsTime
+from deepgnss.evaluate.reproduce import city
+from deepgnss.evaluate.reproduce.whole_receiver import recorded
+from deepgnss.io.rinex_nav import read_nav
+from deepgnss.io.rinex_obs_reader import read_obs
+from deepgnss.receiver import pvt
+from deepgnss.receiver.receiver import Fix
+
+_EXACT = ("seconds=3", "base={offset: [500, 400, -3], interval: 1, code_noise: 0}")
+
+
+def test_a_perfect_rover_is_found_by_corrections_alone() -> None:
+    """Without them, and without models, it would be metres off; what was refused stays out."""
+    with recorded("city", 1, *_EXACT) as given:
+        nav = read_nav(given.folder / "nav.rnx")
+        corrections = city._corrections(given, nav)
+        truth = city._truth(given)
+        rover = read_obs(given.folder / "rover.obs").frame
+    (week, tow_s), rows = next(iter(rover.groupby(["week", "tow_s"])))
+    time = GpsTime(int(week), float(tow_s))
+    observations = tuple(
+        city._bare(str(name), float(rows[code].iloc[k]), time)
+        for k, name in enumerate(rows["satellite"])
+        for code in [{"G": "C1C", "C": "C2I"}[str(name)[0]]]
+        if np.isfinite(rows[code].iloc[k])
+    )
+    epoch = Epoch(time, SampleInstant(0, 0.0), observations)
+    refused = {observations[0].satellite: "range +9.0 m off"}
+    fix = Fix(epoch, pvt.unsolved(time, "", refused), True)
+    found = city.differential(fix, nav, corrections, raim=True)
+    assert found.valid, found.reason
+    assert observations[0].satellite not in found.used
+    off_m = found.r_e_m - truth.loc[round(tow_s * 10)].to_numpy()
+    assert np.linalg.norm(off_m) < 0.1
+    bare = pvt.PvtParameters(ionosphere="none", troposphere="none", raim=False)
+    assert np.linalg.norm(pvt.solve(epoch, nav, bare).r_e_m - found.r_e_m) > 2.0
+
+
+def _drive(fixed: list[bool], north_m: list[float], unblocked: list[int]) -> city.Drive:
+    tags = pd.RangeIndex(1000, 1000 + len(fixed))
+    run = pd.DataFrame({"fixed": fixed, "north_m": north_m, "east_m": 0.0}, index=tags)
+    return city.Drive(pd.Series(unblocked, index=tags), dict.fromkeys(city.RUNS, run))
+
+
+def test_the_wait_counts_from_the_first_tag_with_enough_in_sight() -> None:
+    unblocked = [8] * 5 + [0] * 30 + [2] * 3 + [4] * 12 + [0] * 10 + [8] * 5
+    fixed = [True] * 5 + [False] * 40 + [True] * 20
+    drive = _drive(fixed, [0.0] * 65, unblocked)
+    assert city.exits_s(drive, city.FULL) == pytest.approx([0.7])  # the second one is a bridge
+
+
+def test_no_fix_at_all_is_an_endless_wait() -> None:
+    drive = _drive([False] * 40, [np.nan] * 40, [0] * 30 + [8] * 10)
+    assert city.exits_s(drive, city.FULL) == [np.inf]
+
+
+def test_spreads_count_epochs_with_enough_satellites() -> None:
+    """Of ten epochs two lack satellites, one of the others has no position, one is gross."""
+    north_m = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 4.0, np.nan, 99.0, 99.0]
+    drive = _drive([True] * 10, north_m, [8] * 8 + [3, 3])
+    found = city.spreads([drive])[city.FULL]
+    assert found.fixed == pytest.approx(7 / 8)
+    assert found.gross == pytest.approx(1 / 7)
+    assert found.north_m == pytest.approx(np.std(north_m[:7], ddof=1))
+    assert found.cep_m == 0.0
+
+
+def test_the_verdict_needs_every_ratio_every_column_and_the_share_of_fixes() -> None:
+    plain = city.Spread(4.0, 2.0, 1.0, 0.10, 0.9)
+    full = city.Spread(2.0, 1.5, 0.8, 0.05, 0.99)
+    good = city.Spread(0.8, 1.0, 0.7, 0.03, 0.999)
+    assert city._judged(good, plain, full)[1]
+    for worse in (
+        good._replace(north_m=0.95),
+        good._replace(east_m=1.3),
+        good._replace(cep_m=0.79),
+        good._replace(gross=0.04),
+        good._replace(fixed=0.99),
+    ):
+        assert not city._judged(worse, plain, full)[1]
+    assert not city._judged(good, plain, full._replace(cep_m=0.6))[1]
