@@ -12,15 +12,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS, STANDARD_GRAVITY_MPS2
 from deepgnss.core.errors import NumericalError
 from deepgnss.core.records import SIGNAL_IDS, FloatArray, Observation, Oscillator
 from deepgnss.deep.aiding import Skyline
+from deepgnss.deep.arcs import REST, Arc, Name, Slip, verdict
 from deepgnss.deep.navigation import Leg
 from deepgnss.deep.phase_filter import Chosen, PhaseFilter, common_jump, sound
 from deepgnss.ins.error_model import VELOCITY
@@ -28,13 +28,7 @@ from deepgnss.ins.increments import SAME_INSTANT_S
 from deepgnss.receiver.modes import Coast
 from deepgnss.theory.tracking_error import pll_thermal_sigma_cycles
 
-_LIMIT: Final = 4.0  # σ from which a phase is left out, …
-_WINDOW_S: Final = 0.45  # … time for which it is looked at before it is judged, …
-_LATEST_S: Final = 1.5  # … and after which it is, settled or not
-_LAST: Final = 3  # tags that judge
-_SETTLED_CYCLES: Final = 0.1  # by which they differ once a loop has slipped
-_LEFT_CYCLES: Final = 0.12  # of a slip beyond a multiple of half a cycle …
-_CERTAIN: Final = 4.0  # … and σ that fit between that and a quarter of a cycle
+_LIMIT: Final = 4.0  # σ from which a phase is left out
 _JUMP: Final = 5.0  # σ from which what most have in common is a jump
 _MANY: Final = 5  # phases whose agreement says more than the navigation
 _FLOOR_CYCLES: Final = 0.008  # of a tracked phase: reflections, the loop's own errors
@@ -47,11 +41,7 @@ _WORSE: Final = 4.0  # variance of velocity against the navigation's own: that k
 _DRIFT_SIGMA_MPS: Final = 1.0  # at the start, where Doppler tells the drift …
 _UNKNOWN_DRIFT_MPS: Final = 1e3  # … and where not
 _PHASES_ENOUGH: Final = 4  # with fewer, the drift by Doppler counts
-_GRAVITY_MPS2: Final = 9.81
 
-_Name = tuple[str, int]  # satellite and number of the arc
-# An antenna at rest is like three phases along the axes that do not change.
-_REST: Final[tuple[_Name, ...]] = (("north", -1), ("east", -1), ("down", -1))
 _LOST: Final = Coast(0.0, math.inf)
 
 
@@ -80,37 +70,12 @@ class Tag(NamedTuple):
     C_ne: FloatArray  # (3, 3)
 
 
-class Slip(NamedTuple):
-    """A satellite whose phase does not go on as before."""
-
-    satellite: str
-    cycles: float | None  # too much in the phase; None: nobody knows
-    reason: str
-
-
 class Bridged(NamedTuple):
     """What a tag gave."""
 
     moves: Mapping[str, Coast] = {}
     slips: tuple[Slip, ...] = ()
     clock_jump_m: float | None = None
-
-
-@dataclass(slots=True)
-class _Arc:
-    """A phase being followed, in metres once its clock and its unit are taken off."""
-
-    name: _Name
-    wavelength_m: float
-    believed_s: float  # last tag at which it agreed with all others
-    heard_s: float  # last tag at which there was one
-    range_m: float = 0.0  # predicted since it began
-    doubted_s: float = math.nan  # since when it does not agree …
-    off_cycles: list[float] = field(default_factory=list)  # … and by how much, tag by tag
-
-    def trust(self, now_s: float) -> None:
-        """It agrees (again)."""
-        self.believed_s, self.doubted_s, self.off_cycles = now_s, math.nan, []
 
 
 class _Seen(NamedTuple):
@@ -137,7 +102,7 @@ class Bridge:
         self._oscillator = oscillator
         self._loop = loop
         self._filter: PhaseFilter | None = None
-        self._arcs: list[_Arc] = []  # in the filter's order
+        self._arcs: list[Arc] = []  # in the filter's order
         self._model_m = 0.0  # error of the counter by the clock model
         self._now_s = math.nan
 
@@ -204,13 +169,13 @@ class Bridge:
         fresh = abs(leg.end_s - float(skyline.sights.time_s[1])) < _STALE_S
         self._keep(
             known,
-            [arc.name in _REST or (fresh and arc.name[0] in skyline.row) for arc in self._arcs],
+            [arc.name in REST or (fresh and arc.name[0] in skyline.row) for arc in self._arcs],
         )
         sights = self._sights(skyline, 0.5 * (leg.begin_s + leg.end_s), tag.C_ne)
         longer_m = seconds * sights.rate_mps - sights.toward_n @ (tag.C_ne @ leg.moved_e_m)
         for arc, one_m in zip(self._arcs, longer_m, strict=True):
             arc.range_m += float(one_m)
-        force_g = float(np.linalg.norm(leg.gained_e_mps)) / seconds / _GRAVITY_MPS2
+        force_g = float(np.linalg.norm(leg.gained_e_mps)) / seconds / STANDARD_GRAVITY_MPS2
         shaken_mps = SPEED_OF_LIGHT_MPS * self._oscillator.g_sensitivity * force_g
         known.carry(
             leg.H_begin,
@@ -236,7 +201,7 @@ class Bridge:
         sights.toward_n[sky] = toward_e[0, rows] @ C_ne.T
         floor_mps, share = _ATMOSPHERE
         sights.unmodelled_mps[sky] = np.hypot(floor_mps, share * skyline.delay_rate_mps[rows])
-        for axis, name in enumerate(_REST):
+        for axis, name in enumerate(REST):
             if name in names:
                 sights.toward_n[names.index(name), axis] = 1.0
         return sights
@@ -248,7 +213,7 @@ class Bridge:
 
     # --- phases of a tag -----------------------------------------------------------------------
 
-    def _seen(self, tag: Tag) -> dict[_Name, _Seen]:
+    def _seen(self, tag: Tag) -> dict[Name, _Seen]:
         """Phases in metres, freed of the clock model."""
         seconds, found = tag.leg.end_s - tag.leg.begin_s, {}
         for one in tag.observations:
@@ -260,11 +225,11 @@ class Bridge:
                     wavelength_m,
                 )
         if tag.leg.at_rest:
-            found |= dict.fromkeys(_REST, _Seen(0.0, _REST_M, 1.0))
+            found |= dict.fromkeys(REST, _Seen(0.0, _REST_M, 1.0))
         return found
 
     def _believe(
-        self, known: PhaseFilter, tag: Tag, seen: Mapping[_Name, _Seen], skyline: Skyline
+        self, known: PhaseFilter, tag: Tag, seen: Mapping[Name, _Seen], skyline: Skyline
     ) -> tuple[float | None, tuple[Slip, ...]]:
         """Take in the phases that agree with the prediction and with each other; judge the rest."""
         now_s = tag.leg.end_s
@@ -287,11 +252,11 @@ class Bridge:
             if kept[k]:
                 arc.trust(now_s)
                 continue
-            verdict = _verdict(arc, now_s, float(off_m[k]), math.sqrt(covariance[k, k]))
-            if verdict is None:
+            found = verdict(arc, now_s, float(off_m[k]), math.sqrt(covariance[k, k]))
+            if found is None:
                 continue
             arc.trust(now_s)
-            slip = verdict.slip
+            slip = found.slip
             if slip is None or slip.cycles is None:
                 known.open_arc(rows[k], float(off_m[k]) ** 2)
             if slip is not None:
@@ -321,7 +286,7 @@ class Bridge:
         return alike, jump_m
 
     def _begin(
-        self, known: PhaseFilter, tag: Tag, seen: Mapping[_Name, _Seen], skyline: Skyline
+        self, known: PhaseFilter, tag: Tag, seen: Mapping[Name, _Seen], skyline: Skyline
     ) -> None:
         """New arcs begin at the tag; those nobody hears of any more have ended."""
         now_s = tag.leg.end_s
@@ -335,7 +300,7 @@ class Bridge:
             [
                 arc.name in told
                 or (
-                    arc.name not in _REST
+                    arc.name not in REST
                     and arc.name[0] not in others
                     and now_s - arc.heard_s < _STALE_S
                 )
@@ -344,12 +309,12 @@ class Bridge:
         )
         there = {arc.name for arc in self._arcs}
         fresh = [
-            name for name in seen if name not in there and (name in _REST or name[0] in skyline.row)
+            name for name in seen if name not in there and (name in REST or name[0] in skyline.row)
         ]
         if not fresh:
             return
         first = len(self._arcs)
-        self._arcs += [_Arc(name, seen[name].wavelength_m, now_s, now_s) for name in fresh]
+        self._arcs += [Arc(name, seen[name].wavelength_m, now_s, now_s) for name in fresh]
         sights = self._sights(skyline, now_s, tag.C_ne)
         known.begin(
             np.array([seen[name].phase_m for name in fresh]),
@@ -387,31 +352,3 @@ class Bridge:
                 float(phase_m / arc.wavelength_m - one.carrier_cycles), sigma_m / arc.wavelength_m
             )
         return moves
-
-
-class _Verdict(NamedTuple):
-    """What a phase that was left out for a while turned out to be; no slip: it only drifted."""
-
-    slip: Slip | None
-
-
-def _verdict(arc: _Arc, now_s: float, off_m: float, sigma_m: float) -> _Verdict | None:
-    """Judge a phase that does not agree once its loop has settled; None: not yet."""
-    if arc.name in _REST:
-        return _Verdict(None)
-    if math.isnan(arc.doubted_s):
-        arc.doubted_s = now_s
-    arc.off_cycles = [*arc.off_cycles[1 - _LAST :], off_m / arc.wavelength_m]
-    waited_s = now_s - arc.doubted_s
-    if waited_s < _WINDOW_S:
-        return None
-    off, sigma = float(np.mean(arc.off_cycles)), sigma_m / arc.wavelength_m
-    settled = max(arc.off_cycles) - min(arc.off_cycles) < _SETTLED_CYCLES
-    if not settled and waited_s < _LATEST_S:
-        return None
-    slipped = round(2.0 * off) / 2.0
-    left = abs(off - slipped)
-    told = f"{off:+.2f} cycles off for {waited_s:.1f} s, sigma {sigma:.2f}"
-    if settled and left < _LEFT_CYCLES and left + _CERTAIN * sigma < 0.25:
-        return _Verdict(Slip(arc.name[0], slipped, told) if slipped else None)
-    return _Verdict(Slip(arc.name[0], None, told) if abs(off) > 0.25 else None)

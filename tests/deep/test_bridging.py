@@ -8,7 +8,8 @@ from exact_tags import LOOP, STEP_S, Tags, Told
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import FloatArray, Oscillator
-from deepgnss.deep.bridging import Bridge, Slip
+from deepgnss.deep.arcs import Slip
+from deepgnss.deep.bridging import Bridge
 from deepgnss.io.config.imu_grade import imu_grade
 
 STEADY = Oscillator("steady", 1e-26, 0.0, 1e-27, 0.0)

@@ -1,0 +1,78 @@
+"""Arcs: phases followed from tag to tag, and what becomes of one that stops fitting.
+
+An arc is a stretch of a satellite's phase without a possible slip.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+
+_WINDOW_S: Final = 0.45  # for which a phase that was left out is looked at before it is judged, …
+_LATEST_S: Final = 1.5  # … and after which it is, settled or not
+_LAST: Final = 3  # tags that judge
+_SETTLED_CYCLES: Final = 0.1  # by which they differ once a loop has slipped
+_LEFT_CYCLES: Final = 0.12  # of a slip beyond a multiple of half a cycle …
+_CERTAIN: Final = 4.0  # … and σ that fit between that and a quarter of a cycle
+
+Name = tuple[str, int]
+"""Satellite and number of the arc."""
+
+REST: Final[tuple[Name, ...]] = (("north", -1), ("east", -1), ("down", -1))
+"""An antenna at rest is like three phases along the axes that do not change."""
+
+
+class Slip(NamedTuple):
+    """A satellite whose phase does not go on as before."""
+
+    satellite: str
+    cycles: float | None  # too much in the phase; None: nobody knows
+    reason: str
+
+
+@dataclass(slots=True)
+class Arc:
+    """A phase being followed, in metres once its clock and its unit are taken off."""
+
+    name: Name
+    wavelength_m: float
+    believed_s: float  # last tag at which it agreed with all others
+    heard_s: float  # last tag at which there was one
+    range_m: float = 0.0  # predicted since it began
+    doubted_s: float = math.nan  # since when it does not agree …
+    off_cycles: list[float] = field(default_factory=list)  # … and by how much, tag by tag
+
+    def trust(self, now_s: float) -> None:
+        """It agrees (again)."""
+        self.believed_s, self.doubted_s, self.off_cycles = now_s, math.nan, []
+
+
+class Verdict(NamedTuple):
+    """What a phase that was left out for a while turned out to be; no slip: it only drifted."""
+
+    slip: Slip | None
+
+
+def verdict(arc: Arc, now_s: float, off_m: float, sigma_m: float) -> Verdict | None:
+    """Judge a phase that does not agree once its loop has settled; None: not yet."""
+    if arc.name in REST:
+        return Verdict(None)
+    if math.isnan(arc.doubted_s):
+        arc.doubted_s = now_s
+    arc.off_cycles = [*arc.off_cycles[1 - _LAST :], off_m / arc.wavelength_m]
+    waited_s = now_s - arc.doubted_s
+    if waited_s < _WINDOW_S:
+        return None
+    off, sigma = float(np.mean(arc.off_cycles)), sigma_m / arc.wavelength_m
+    settled = max(arc.off_cycles) - min(arc.off_cycles) < _SETTLED_CYCLES
+    if not settled and waited_s < _LATEST_S:
+        return None
+    slipped = round(2.0 * off) / 2.0
+    left = abs(off - slipped)
+    told = f"{off:+.2f} cycles off for {waited_s:.1f} s, sigma {sigma:.2f}"
+    if settled and left < _LEFT_CYCLES and left + _CERTAIN * sigma < 0.25:
+        return Verdict(Slip(arc.name[0], slipped, told) if slipped else None)
+    return Verdict(Slip(arc.name[0], None, told) if abs(off) > 0.25 else None)
