@@ -23,7 +23,8 @@ WINDOW_S: Final = 0.32
 OFF_HZ: Final = 0.5 / WINDOW_S  # within the window's line
 OFF_CHIPS: Final = 0.1
 _SETTINGS: Final = (
-    f"tracking.frequency={{window: {WINDOW_S}}}",
+    # Aided, what is left of a manoeuvre is a short pulse: order 2 would carry its slope on.
+    f"tracking.frequency={{window: {WINDOW_S}, order: 1, gain: 0.7}}",
     "output.interval=0.1",
 )
 _AFTER_S: Final = 2.0  # six windows: what has been lost does not come back by itself
