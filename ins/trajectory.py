@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +43,7 @@ class Antenna(NamedTuple):
     v_n_mps: FloatArray  # (k, 3)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Trajectory:
     """Navigation over a stretch of increments.
 
@@ -146,18 +147,18 @@ class Trajectory:
             )
         return np.clip(t, first, last)
 
-    def _place(self, t: FloatArray) -> FloatArray:
-        """Latitude, longitude, height (k, 3)."""
+    @cached_property
+    def _place(self) -> CubicHermiteSpline:
+        """Latitude, longitude, height over time."""
         north_m = meridian_radius_m(self.lat_rad) + self.height_m
         east_m = (transverse_radius_m(self.lat_rad) + self.height_m) * np.cos(self.lat_rad)
         per_second = self.v_n_mps / np.column_stack([north_m, east_m, -np.ones_like(north_m)])
         places = np.column_stack([self.lat_rad, self.lon_rad, self.height_m])
-        place: FloatArray = CubicHermiteSpline(self.time_s, places, per_second)(t)
-        return place
+        return CubicHermiteSpline(self.time_s, places, per_second)
 
-    def _velocity(self, t: FloatArray) -> FloatArray:
-        velocity: FloatArray = CubicSpline(self.time_s, self.v_n_mps)(t)
-        return velocity
+    @cached_property
+    def _velocity(self) -> CubicSpline:
+        return CubicSpline(self.time_s, self.v_n_mps)
 
     def _rate(self, t: FloatArray) -> FloatArray:
         """Angular rate linear between the middles of the increments."""
