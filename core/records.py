@@ -311,6 +311,7 @@ class NavSolution:
     rejected: Mapping[str, str]  # satellite → why it was left out
     residuals_m: Mapping[str, float]  # pseudorange residuals of all with a range
     azimuth_elevation_rad: Mapping[str, tuple[float, float]]
+    isb_sigma_s: Mapping[str, float] = field(default_factory=dict)  # of isb_s, learnt over time
 
 
 # --- inertial ------------------------------------------------------------------------------------

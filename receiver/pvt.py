@@ -44,8 +44,17 @@ __all__ = [
 _MAX_ITERATIONS = 20
 _CONVERGED_M = 1.0  # the step after this one would be its square over the range: 1e-7 m
 _ATMOSPHERE_STEP_M = 10.0  # its delays change by 3 mm at zenith over this height
+_BETWEEN_M_RTS = 0.005  # random walk of the biases between systems
 _KINDS = ("elevation", "residual", "range")
 _PLAUSIBLE_HEIGHT_M = (-20e3, 2000e3)
+
+
+class _Held(NamedTuple):
+    """Biases between systems as known from before: rows beside those of the satellites."""
+
+    H: FloatArray
+    values_m: FloatArray
+    sigma_m: FloatArray
 
 
 class _Fix(NamedTuple):
@@ -54,6 +63,7 @@ class _Fix(NamedTuple):
     r_e_m: FloatArray
     biases_m: Mapping[str, float]  # receiver clock in metres, by system
     H: FloatArray
+    held: _Held
     sigma_m: FloatArray
     residuals_m: FloatArray  # of all measured; NaN for systems that are not in the solution
     azimuth_rad: FloatArray
@@ -91,10 +101,11 @@ def solve(
     """
     measured, rejected = measure(epoch, nav, refused)
     start_e_m = previous.r_e_m if previous is not None and previous.valid else np.zeros(3)
+    known = _between_systems(epoch.time, previous)
     active = measured.usable.copy()
     screened = not parameters.raim
     while True:
-        fix = _adjust(epoch, nav, parameters, measured, active, start_e_m)
+        fix = _adjust(epoch, nav, parameters, measured, active, start_e_m, known)
         if not screened and _is_gross(fix):
             screened = True
             for row, error_m in gross_errors(
@@ -109,9 +120,17 @@ def solve(
         if not parameters.raim:
             break
         rows = np.flatnonzero(fix.used)
+        biases_m = np.array(list(fix.biases_m.values()))
         verdict = check_residuals(
-            fix.H, fix.residuals_m[rows], fix.sigma_m[rows], parameters.false_alarm
+            np.vstack([fix.H, fix.held.H]),
+            np.append(fix.residuals_m[rows], fix.held.values_m - fix.held.H[:, 3:] @ biases_m),
+            np.append(fix.sigma_m[rows], fix.held.sigma_m),
+            parameters.false_alarm,
+            excludable=len(rows),
         )
+        if not verdict.passed and known:
+            known = {}  # what was known of the systems may be what is wrong
+            continue
         if not verdict.passed:
             return unsolved(
                 epoch.time,
@@ -140,6 +159,7 @@ def _adjust(
     measured: Measured,
     active: NDArray[np.bool_],
     start_e_m: FloatArray,
+    known_m: Mapping[str, tuple[float, float]],
 ) -> _Fix | _Failure:
     """Gauss–Newton over the active satellites above the mask."""
     r_e_m = start_e_m
@@ -166,9 +186,11 @@ def _adjust(
             modelled_at_e_m = r_e_m
         rows = np.flatnonzero(used)
         systems = _systems(measured, rows)
-        needed = 3 + len(systems)
-        if len(rows) < max(needed, 4):
-            return _Failure(f"{len(rows)} of {max(needed, 4)} satellites needed", low, len(low) > 0)
+        held = _held(systems, known_m)
+        unknowns = 3 + len(systems)
+        needed = max(unknowns - len(held.values_m), 4)
+        if len(rows) < needed:
+            return _Failure(f"{len(rows)} of {needed} satellites needed", low, len(low) > 0)
         misfit = measured.ranges_m - delays_m - sight.range_m
         H = np.hstack(
             [
@@ -176,9 +198,12 @@ def _adjust(
                 np.array([[measured.satellites[k][0] == s for s in systems] for k in rows], float),
             ]
         )
-        weight = 1.0 / sigma_m[rows]
-        x, _, rank, _ = np.linalg.lstsq(H * weight[:, np.newaxis], misfit[rows] * weight)
-        if rank < needed:
+        weight = 1.0 / np.append(sigma_m[rows], held.sigma_m)
+        asked = np.append(misfit[rows], held.values_m)
+        x, _, rank, _ = np.linalg.lstsq(
+            np.vstack([H, held.H]) * weight[:, np.newaxis], asked * weight
+        )
+        if rank < unknowns:
             return _Failure(f"geometry of {len(rows)} satellites is singular", low)
         step_m = float(np.linalg.norm(x[:3]))
         r_e_m = r_e_m + x[:3]
@@ -192,8 +217,42 @@ def _adjust(
     own_m = np.array([biases_m.get(s[0], np.nan) for s in measured.satellites])
     moved_m = -sight.unit_e @ x[:3]
     return _Fix(
-        r_e_m, biases_m, H, sigma_m, misfit - moved_m - own_m, azimuth, elevation, used, sight, low
+        r_e_m,
+        biases_m,
+        H,
+        held,
+        sigma_m,
+        misfit - moved_m - own_m,
+        azimuth,
+        elevation,
+        used,
+        sight,
+        low,
     )
+
+
+def _between_systems(time: GpsTime, previous: NavSolution | None) -> dict[str, tuple[float, float]]:
+    """Biases against GPS and their 1σ, m, as a solution before left them."""
+    if previous is None or not previous.valid:
+        return {}
+    walked_m = _BETWEEN_M_RTS * np.sqrt(abs(time.since(previous.time)))
+    return {
+        system: (
+            SPEED_OF_LIGHT_MPS * previous.isb_s[system],
+            float(np.hypot(SPEED_OF_LIGHT_MPS * sigma_s, walked_m)),
+        )
+        for system, sigma_s in previous.isb_sigma_s.items()
+    }
+
+
+def _held(systems: list[str], known_m: Mapping[str, tuple[float, float]]) -> _Held:
+    """Rows "clock of a system − clock of GPS = bias", for those known."""
+    told = [s for s in systems[1:] if s in known_m] if systems[:1] == ["G"] else []
+    H = np.zeros((len(told), 3 + len(systems)))
+    for row, system in enumerate(told):
+        H[row, 3], H[row, 3 + systems.index(system)] = -1.0, 1.0
+    values, sigmas = ([known_m[s][k] for s in told] for k in (0, 1))
+    return _Held(H, np.array(values), np.array(sigmas))
 
 
 def _is_gross(fix: _Fix | _Failure) -> bool:
@@ -290,7 +349,12 @@ def _solution(
     # Columns as receiver clock and biases against it instead of one clock per system.
     H = fix.H.copy()
     H[:, 3] = 1.0
-    weighted = H / fix.sigma_m[rows, np.newaxis]
+    held = fix.held.H.copy()
+    held[:, 3] = 0.0
+    sigma_m = np.append(fix.sigma_m[rows], fix.held.sigma_m)
+    weighted = np.vstack([H, held]) / sigma_m[:, np.newaxis]
+    covariance_m2 = inverse(weighted.T @ weighted)
+    between_m = np.sqrt(np.diagonal(covariance_m2)[4:])
     return NavSolution(
         time=epoch.time,
         valid=True,
@@ -303,9 +367,14 @@ def _solution(
             system: (fix.biases_m[system] - fix.biases_m[reference]) / SPEED_OF_LIGHT_MPS
             for system in others
         },
-        covariance_m2=inverse(weighted.T @ weighted)[:4, :4],
+        isb_sigma_s={
+            system: float(sigma_m) / SPEED_OF_LIGHT_MPS
+            for system, sigma_m in zip(others, between_m, strict=True)
+            if reference == "G"
+        },
+        covariance_m2=covariance_m2[:4, :4],
         velocity_covariance_m2ps2=velocity.covariance_m2ps2,
-        dops=dilutions(H, C_ne(lat, lon)),
+        dops=dilutions(np.vstack([H, held]), C_ne(lat, lon)),
         used=tuple(measured.satellites[row] for row in rows),
         rejected=rejected,
         residuals_m={

@@ -46,7 +46,11 @@ RATIOS: Final = (3.61 / 0.80, 1.50 / 0.93, 0.89 / 0.69, 9.25 / 2.90)  # σ N, σ
 FIXED: Final = 0.995
 EXIT_S: Final = 1.0
 
-_SETTINGS: Final = ("output.interval=0.1", "tracking.code.spacing=0.1")
+_SETTINGS: Final = (
+    "output.interval=0.1",
+    "tracking.code.spacing=0.1",
+    "positioning.outliers.threshold=3.0",
+)
 _NO_AIR: Final = pvt.PvtParameters(ionosphere="none", troposphere="none")  # the base saw it, too
 _TAGS_HZ: Final = 10
 _QUICK_S: Final = 64.0

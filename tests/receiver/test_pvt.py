@@ -130,6 +130,34 @@ def test_intersystem_bias() -> None:
     assert alone.clock_s == pytest.approx(2e-4 + 45e-9, abs=1e-11)
 
 
+def test_a_known_bias_between_systems_replaces_a_satellite() -> None:
+    """Two of each system are enough once the bias is known, and it is learnt over time."""
+    both = sky("GC")
+    epoch = observe(both, HERE_E_M, V_E_MPS, OPEN, isb_s={"C": 45e-9})
+    first = pvt.solve(epoch, both, OPEN)
+    second = pvt.solve(epoch, both, OPEN, first)
+    assert 0.0 < second.isb_sigma_s["C"] < 0.8 * first.isb_sigma_s["C"]
+    assert second.isb_s["C"] == pytest.approx(45e-9, abs=1e-11)
+    pairs = [o for s in "GC" for o in [o for o in epoch.observations if o.satellite[0] == s][:2]]
+    few = replace(epoch, observations=tuple(pairs))
+    assert not pvt.solve(few, both, OPEN).valid
+    got = pvt.solve(few, both, OPEN, first)
+    assert got.valid, got.reason
+    assert np.abs(got.r_e_m - HERE_E_M).max() < 0.1
+
+
+def test_a_bias_that_is_no_longer_true_is_learnt_anew() -> None:
+    """Its system is left out once, which forgets the bias: two tags later all is well."""
+    both = sky("GC")
+    last = pvt.solve(observe(both, HERE_E_M, V_E_MPS, OPEN, isb_s={"C": 45e-9}), both, OPEN)
+    epoch = observe(both, HERE_E_M, V_E_MPS, OPEN, isb_s={"C": 5e-6})
+    for _ in range(2):
+        last = pvt.solve(epoch, both, OPEN, last)
+        assert last.valid, last.reason
+        assert np.abs(last.r_e_m - HERE_E_M).max() < 0.1
+    assert last.isb_s["C"] == pytest.approx(5e-6, abs=1e-10)
+
+
 def test_dilutions_of_a_known_geometry() -> None:
     """Zenith and three at the horizon, 120° apart: HDOP² = 4/3, by hand."""
     az = 2 * np.pi / 3 * np.arange(3)
