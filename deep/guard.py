@@ -25,8 +25,11 @@ from deepgnss.receiver.receiver import Fix
 
 _MOVING_MPS = 3.0
 _LONG_S = 30.0  # of motion without an attitude: said
-_LONG_SHARE = 0.1  # of the time navigated, without trust: said
+_LONG_SHARE = 0.4  # of the time navigated, without trust: said …
+_SOME_SHARE = 0.1  # … where it is known why
 _FITS = 2  # stretches that go with the fixes once biases are free
+_SIDEWAYS = "off the body's forward axis"  # what an alignment says of wrong axes
+_SIDEWAYS_S, _SIDEWAYS_OFTEN = 120.0, 3  # so often within so long, no attitude is trusted
 _CORRECTED_S = 0.002  # the least that is worth a new start …
 _CORRECTED_SIGMAS = 3.0  # … and the least that is sure
 
@@ -54,6 +57,7 @@ class Guard:
         self._trusted_s = self._navigated_s = self._moving_s = 0.0
         self._block: ImuBlock | None = None
         self._estimate: Estimate | None = None
+        self._sideways: list[float] = []  # when it moved off its forward axis, s of the log
         self._doubt = ""  # why trust was lost first
         self._unaligned = ""  # why there is no attitude
 
@@ -88,6 +92,11 @@ class Guard:
         if states:
             sigma_mps = float(np.sqrt(np.trace(states[-1].antenna_covariance[3:, 3:]) / 3.0))
             self._estimate = states[-1].estimate
+        self._sideways += [e.time_s for e in told if _SIDEWAYS in e.reason]
+        now_s = told[-1].time_s if told else -np.inf
+        self._sideways = [at_s for at_s in self._sideways if now_s - at_s < _SIDEWAYS_S]
+        if len(self._sideways) >= _SIDEWAYS_OFTEN:  # an attitude found by course alone means little
+            sigma_mps = np.inf
         turns = self._watch.take(innovations, sigma_mps)
         for event in told:
             if event.what == "stopped":
@@ -158,8 +167,10 @@ class Guard:
         offset, asked = self.offset, self._unit.time_offset_s
         lines = []
         untrusted_s = self._navigated_s - self._trusted_s
-        if self._doubt and untrusted_s > _LONG_SHARE * self._navigated_s:
-            cause = self._cause() or "its axes, scale, or drive are not those of this recording"
+        share = untrusted_s / max(self._navigated_s, 1e-9)
+        cause = self._cause() if self._doubt and share > _SOME_SHARE else ""
+        if self._doubt and share > (_SOME_SHARE if cause else _LONG_SHARE):
+            cause = cause or "its axes, scale, or drive are not those of this recording"
             lines.append(
                 f"inertial log contradicts the satellites, no aiding for {untrusted_s:.1f} of"
                 f" {self._navigated_s:.1f} s: {cause} ({self._doubt})"
