@@ -217,7 +217,7 @@ def carried(run: Phases, hidden: Sequence[Hidden]) -> list[Carried]:
                 (through["time_s"] - start["time_s"]).to_numpy(),
                 errors,
                 bool(end["valid"] and end["arc"] == start["arc"]),
-                float(predicted(run, one, hidden).phase_cycles[-1]),
+                float(predicted(run, one, hidden, start["cn0_dbhz"]).phase_cycles[-1]),
                 _told(run, one),
             )
         )
@@ -245,15 +245,17 @@ def _told(run: Phases, one: Hidden) -> float:
 # --- what theory expects --------------------------------------------------------------------------
 
 
-def predicted(run: Phases, one: Hidden, hidden: Sequence[Hidden]) -> Growth:
-    """1σ at the end of a blockage, from what was known at its begin."""
+def predicted(run: Phases, one: Hidden, hidden: Sequence[Hidden], cn0_dbhz: float) -> Growth:
+    """1σ at the end of a blockage, from what was known at its begin.
+
+    cn0_dbhz: as the receiver saw it then, the other satellites' noise included.
+    """
     scenario, middle_s = run.scenario, 0.5 * (one.begin_s + one.end_s)
     gone = {other.satellite for other in hidden if other.begin_s <= middle_s < other.end_s}
     sights = {
         emitter.satellite: toward_n(scenario, emitter, one.begin_s) for emitter in scenario.emitters
     }
-    emitter = next(e for e in scenario.emitters if e.satellite == one.satellite)
-    thermal = thermal_cycles(scenario, emitter)
+    thermal = pll_thermal_sigma_cycles(cn0_dbhz, BANDWIDTH_HZ, COHERENT_S)
     length_s = np.array([one.end_s - one.begin_s])
     way = _way_growth(run, one, sights[one.satellite])
     parts = [entry_growth(thermal, length_s)]
@@ -282,12 +284,12 @@ def thermal_cycles(scenario: Scenario, emitter: Emitter) -> float:
 
 
 def _clock(
-    oscillator: Oscillator | None, satellites: int, thermal_cycles: float, length_s: FloatArray
+    oscillator: Oscillator | None, satellites: int, phase_cycles: float, length_s: FloatArray
 ) -> Growth:
     """The clock carried on by the best fit through the mean of all phases."""
     if oscillator is None:
         return entry_growth(0.0, length_s)
-    noise_cycles = thermal_cycles / math.sqrt(satellites)
+    noise_cycles = phase_cycles / math.sqrt(satellites)
     fit = best_fit(oscillator, CARRIER_HZ, float(length_s[0]), noise_cycles)
     return clock_growth(oscillator, CARRIER_HZ, fit, length_s)
 
