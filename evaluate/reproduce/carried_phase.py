@@ -258,12 +258,18 @@ def predicted(run: Phases, one: Hidden, hidden: Sequence[Hidden], cn0_dbhz: floa
     thermal = pll_thermal_sigma_cycles(cn0_dbhz, BANDWIDTH_HZ, COHERENT_S)
     length_s = np.array([one.end_s - one.begin_s])
     way = _way_growth(run, one, sights[one.satellite])
+    last = Growth(way.source, way.phase_cycles[-1:], way.frequency_hz[-1:])
     parts = [entry_growth(thermal, length_s)]
     others_n = np.array([toward for name, toward in sights.items() if name not in gone])
     if len(others_n):
-        parts.append(shared_growth(sights[one.satellite], others_n, thermal, way.phase_cycles))
+        # Phases count as averaged for as long as the navigation bridges them better than they are.
+        alike = max(1, int(np.sum(way.phase_cycles < thermal)))
+        noise_cycles = thermal / math.sqrt(alike)
+        parts.append(
+            shared_growth(sights[one.satellite], others_n, noise_cycles, last.phase_cycles)
+        )
     else:
-        parts += [_clock(scenario.clock.oscillator, len(sights), thermal, length_s), way]
+        parts += [_clock(scenario.clock.oscillator, len(sights), thermal, length_s), last]
     return together(parts)
 
 
@@ -295,11 +301,12 @@ def _clock(
 
 
 def _way_growth(run: Phases, one: Hidden, unit_n: FloatArray) -> Growth:
-    """The navigation's way along a line of sight, uncorrected, by its covariance at the begin."""
+    """The navigation's way along a line of sight, uncorrected, tag by tag from its covariance."""
     through = [known for known in run.known if one.begin_s - TAG_S <= known.time_s <= one.end_s]
-    still = run.scenario.vehicle.pose(np.array([one.begin_s, one.end_s])).r_e_m
-    if np.ptp(still, axis=0).max() < _STANDS_M or len(through) < 2:  # at rest, and known to be
-        return Growth("rest", np.zeros(1), np.zeros(1))
+    ends_e_m = run.scenario.vehicle.pose(np.array([one.begin_s, one.end_s])).r_e_m
+    if np.ptp(ends_e_m, axis=0).max() < _STANDS_M or len(through) < 2:  # at rest, and known to be
+        still = np.zeros(round((one.end_s - one.begin_s) / TAG_S))
+        return Growth("rest", still, still)
     h = unit_n / (SPEED_OF_LIGHT_MPS / CARRIER_HZ)
     steps = [
         Step(leg.end_s - leg.begin_s, leg.Phi, leg.Q, h @ leg.H_begin, h @ leg.H_end)
@@ -308,5 +315,4 @@ def _way_growth(run: Phases, one: Hidden, unit_n: FloatArray) -> Growth:
     P = np.zeros_like(through[0].leg.Phi)
     rest = slice(POSITION.stop, P.shape[0])
     P[rest, rest] = through[0].P
-    growth = filter_growth(P, steps)
-    return Growth(growth.source, growth.phase_cycles[-1:], growth.frequency_hz[-1:])
+    return filter_growth(P, steps)
