@@ -64,7 +64,8 @@ def _write(path: Path, frame: pd.DataFrame) -> None:
 def _figure(rows: int, columns: int) -> tuple[Any, Any]:
     from matplotlib import pyplot as plt
 
-    return plt.subplots(rows, columns, figsize=(11.0, 3.2 * rows), layout="constrained")
+    figure, axes = plt.subplots(rows, columns, figsize=(11.0, 3.2 * rows), layout="constrained")
+    return figure, axes
 
 
 def _save(figure: Any, path: Path) -> None:

@@ -289,7 +289,9 @@ def thermal_sigmas(
     Returns: errors with the columns phase_thermal_m, code_thermal_m (NaN before the loops' time).
     """
     week = int(errors["week"].iloc[0])
-    settings = channels.assign(time_ms=(week_seconds(channels, week) * 1e3).round().astype(np.int64))
+    settings = channels.assign(
+        time_ms=(week_seconds(channels, week) * 1e3).round().astype(np.int64)
+    )
     columns = ["coherent_s", "carrier_bandwidth_hz", "code_bandwidth_hz"]
     merged = pd.merge_asof(
         errors.sort_values("time_ms", kind="stable"),

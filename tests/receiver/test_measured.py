@@ -35,7 +35,7 @@ def test_rates_are_relative_velocity_and_drift() -> None:
 
 
 def test_an_antenna_nearer_to_a_satellite_has_shorter_ranges() -> None:
-    """Moved towards it, the range predicted shrinks and the misfit grows by as much (the air above by 3 mm)."""
+    """The range predicted shrinks and the misfit grows by as much (the air above by 3 mm)."""
     seen = ranges_from(EPOCH, NAV, MASKED, HERE_E_M)
     moved = ranges_from(EPOCH, NAV, MASKED, HERE_E_M + 10.0 * seen.unit_e[0])
     assert moved.misfit_m[0] - seen.misfit_m[0] == pytest.approx(10.0, abs=0.01)
