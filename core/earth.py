@@ -23,6 +23,9 @@ SEMI_MAJOR_M: Final = 6_378_137.0
 FLATTENING: Final = 1.0 / 298.257223563
 """f = (a − b)/a (NIMA TR8350.2 table 3.1)."""
 
+SEMI_MINOR_M: Final = SEMI_MAJOR_M * (1.0 - FLATTENING)
+"""Polar radius b = a·(1 − f)."""
+
 ECCENTRICITY2: Final = FLATTENING * (2.0 - FLATTENING)
 """Square of the first eccentricity."""
 
@@ -48,6 +51,15 @@ def transverse_radius_m(lat_rad: Real) -> Real:
     """Radius of curvature R_N in the prime vertical, m."""
     w2 = 1.0 - ECCENTRICITY2 * np.sin(lat_rad) ** 2
     return SEMI_MAJOR_M / np.sqrt(w2)  # type: ignore[no-any-return]
+
+
+@kernel
+def place_e_m(lat_rad: Real, lon_rad: Real, height_m: Real) -> tuple[Real, Real, Real]:
+    """ECEF coordinates of a geodetic point."""
+    transverse_m = transverse_radius_m(lat_rad)
+    off_axis_m = (transverse_m + height_m) * np.cos(lat_rad)
+    along_m = (transverse_m * (1.0 - ECCENTRICITY2) + height_m) * np.sin(lat_rad)
+    return off_axis_m * np.cos(lon_rad), off_axis_m * np.sin(lon_rad), along_m
 
 
 @kernel

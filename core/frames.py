@@ -1,13 +1,18 @@
-"""Earth and local frames: thin, vectorised names over pymap3d plus the rotations we need."""
+"""Earth and local frames: places on the ellipsoid, the rotations between, directions in the sky."""
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
-import pymap3d
 
+from deepgnss.core.earth import SEMI_MAJOR_M, SEMI_MINOR_M, place_e_m
+from deepgnss.core.jit import kernel
 from deepgnss.core.records import FloatArray
+
+_FOCAL_M: Final = math.sqrt(SEMI_MAJOR_M**2 - SEMI_MINOR_M**2)
 
 
 def geodetic(r_e_m: FloatArray) -> tuple[float, float, float]:
@@ -17,13 +22,35 @@ def geodetic(r_e_m: FloatArray) -> tuple[float, float, float]:
 
 @lru_cache(maxsize=8)  # a dozen callers ask for the same fix in turn
 def _geodetic(x_e_m: float, y_e_m: float, z_e_m: float) -> tuple[float, float, float]:
-    lat, lon, height = pymap3d.ecef2geodetic(x_e_m, y_e_m, z_e_m, deg=False)
-    return float(lat), float(lon), float(height)
+    return geodetic_of(x_e_m, y_e_m, z_e_m)
+
+
+@kernel
+def geodetic_of(x_e_m: float, y_e_m: float, z_e_m: float) -> tuple[float, float, float]:
+    """As `geodetic`, of numbers: by confocal ellipsoids, without iterations (You 2000)."""
+    a, b, E = SEMI_MAJOR_M, SEMI_MINOR_M, _FOCAL_M
+    off_axis_m = math.hypot(x_e_m, y_e_m)
+    beyond_m2 = off_axis_m**2 + z_e_m**2 - E**2
+    u = math.sqrt(0.5 * beyond_m2 + 0.5 * math.hypot(beyond_m2, 2.0 * E * z_e_m))
+    if u < 1e-8 or off_axis_m < 1e-8:
+        lat_rad = beta = 0.0 if abs(z_e_m) < 1e-8 else math.copysign(0.5 * math.pi, z_e_m)
+        sin, cos = math.sin(beta), 1.0 if beta == 0.0 else 0.0
+    else:
+        v = math.hypot(u, E)
+        beta = math.atan(v / u * z_e_m / off_axis_m)
+        sin, cos = math.sin(beta), math.cos(beta)
+        beta += (b * u - a * v + E**2) * sin / (a * v / cos - E**2 * cos)
+        sin, cos = math.sin(beta), math.cos(beta)
+        lat_rad = math.atan2(a * sin, b * cos)
+    height_m = math.hypot(z_e_m - b * sin, off_axis_m - a * cos)
+    if (off_axis_m / a) ** 2 + (z_e_m / b) ** 2 < 1.0:
+        height_m = -height_m
+    return lat_rad, math.atan2(y_e_m, x_e_m), height_m
 
 
 def ecef(lat_rad: float, lon_rad: float, height_m: float) -> FloatArray:
     """ECEF position (3,) of a geodetic point (WGS-84)."""
-    return np.array(pymap3d.geodetic2ecef(lat_rad, lon_rad, height_m, deg=False), dtype=np.float64)
+    return np.array(place_e_m(float(lat_rad), float(lon_rad), float(height_m)))
 
 
 def C_ne(lat_rad: float | FloatArray, lon_rad: float | FloatArray) -> FloatArray:
@@ -38,8 +65,23 @@ def azimuth_elevation(
 ) -> tuple[FloatArray, FloatArray]:
     """Azimuth in [0, 2π) and elevation, rad, of ECEF points (k, 3) seen from r_e_m."""
     lat, lon, _ = geodetic(r_e_m)
-    los_n = (satellites_e_m - r_e_m) @ C_ne(lat, lon).T
-    horizontal = np.hypot(los_n[:, 0], los_n[:, 1])
-    azimuth = np.mod(np.arctan2(los_n[:, 1], los_n[:, 0]), 2.0 * np.pi)
-    azimuth[azimuth == 2.0 * np.pi] = 0.0  # rounded up from just west of north
-    return azimuth, np.arctan2(-los_n[:, 2], horizontal)
+    return _azimuth_elevation(C_ne(lat, lon), r_e_m, satellites_e_m)
+
+
+@kernel
+def _azimuth_elevation(
+    C_ne: FloatArray, r_e_m: FloatArray, satellites_e_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    count = satellites_e_m.shape[0]
+    azimuth, elevation = np.empty(count), np.empty(count)
+    for k in range(count):
+        x, y, z = satellites_e_m[k, 0], satellites_e_m[k, 1], satellites_e_m[k, 2]
+        x, y, z = x - r_e_m[0], y - r_e_m[1], z - r_e_m[2]
+        north = C_ne[0, 0] * x + C_ne[0, 1] * y + C_ne[0, 2] * z
+        east = C_ne[1, 0] * x + C_ne[1, 1] * y + C_ne[1, 2] * z
+        down = C_ne[2, 0] * x + C_ne[2, 1] * y + C_ne[2, 2] * z
+        azimuth[k] = math.atan2(east, north) % (2.0 * math.pi)
+        if azimuth[k] == 2.0 * math.pi:
+            azimuth[k] = 0.0  # rounded up from just west of north
+        elevation[k] = math.atan2(-down, math.hypot(north, east))
+    return azimuth, elevation
