@@ -27,11 +27,12 @@ _SETTINGS: Final = (
     f"tracking.frequency={{window: {WINDOW_S}, order: 1, gain: 0.7}}",
     "output.interval=0.1",
 )
-_AFTER_S: Final = 2.0  # six windows: what has been lost does not come back by itself
+_AFTER_S: Final = 3.0  # windows enough for the watch over false locks, too few for a search
 _HARD_MPS2: Final = 40.0  # steps that count
 _LIMITS_G: Final = (5, 10, 25, 50, 100)  # at which the lesser unit is tried
-_LOST: Final = frozenset({Mode.HOLD.value, Mode.LOST.value, "acquired", "false lock"})
-_QUICK_S: Final = 48.0
+_LOST: Final = frozenset({Mode.HOLD.value, Mode.LOST.value, "acquired"})
+_MOVED: Final = "false lock"  # a frequency that had gone lines off was put right
+_QUICK_S: Final = 49.0
 
 
 class Manoeuvre(NamedTuple):
@@ -47,6 +48,7 @@ class Outcome(NamedTuple):
     off_hz: float
     off_chips: float
     lost: bool
+    moved: bool = False  # shown only
 
     @property
     def tracked(self) -> bool:
@@ -103,11 +105,9 @@ def outcomes(recording: Recording, grade: str) -> list[Outcome]:
         epoch = epochs.get(round(10.0 * until_s))
         seen = truth.errors(epoch) if epoch is not None else {}
         drift_hz = statistics.median(error.doppler_hz for error in seen.values()) if seen else 0.0
-        gone = {
-            event.satellite
-            for event in events
-            if event.what in _LOST and begin_s < event.sample / rate_hz < until_s
-        }
+        during = [event for event in events if begin_s < event.sample / rate_hz < until_s]
+        gone = {event.satellite for event in during if event.what in _LOST}
+        moved = {event.satellite for event in during if event.what == _MOVED}
         for emitter in recording.scenario.emitters:
             name = emitter.satellite
             error = seen.get(name)
@@ -115,7 +115,7 @@ def outcomes(recording: Recording, grade: str) -> list[Outcome]:
                 found.append(Outcome(0.0, 0.0, lost=True))
                 continue
             chips = error.range_m / CHIP_M
-            found.append(Outcome(error.doppler_hz - drift_hz, chips, lost=name in gone))
+            found.append(Outcome(error.doppler_hz - drift_hz, chips, name in gone, name in moved))
     return found
 
 
@@ -154,11 +154,12 @@ def _scaled(g: int) -> str:
 
 def _figure(grade: str, g: int, runs: Sequence[Outcome], *, judged: bool) -> Figure:
     held = [run for run in runs if not run.lost]
-    tracked = sum(run.tracked for run in runs)
+    tracked, moved = sum(run.tracked for run in runs), sum(run.moved for run in runs)
     hz = max((abs(run.off_hz) for run in held), default=0.0)
     chips = max((abs(run.off_chips) for run in held), default=0.0)
     return Figure(
         f"{grade}: tracked after {g} g",
-        f"{tracked} of {len(runs)}; largest {hz:.2f} Hz of {OFF_HZ:.2f}, {chips:.3f} chip",
+        f"{tracked} of {len(runs)}; largest {hz:.2f} Hz of {OFF_HZ:.2f}, {chips:.3f} chip;"
+        f" {moved} moved back from other lines",
         tracked == len(runs) if judged else None,
     )
