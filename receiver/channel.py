@@ -723,7 +723,9 @@ class Channel:
         self.events.append(Event(self.command.sample, self.satellite, what, reason))
 
     def _interval(self) -> Interval:
-        settled = self.mode in (Mode.FREQUENCY, Mode.PHASE, Mode.WEAK)
+        settled = self.mode in (Mode.FREQUENCY, Mode.PHASE) or (
+            self.mode is Mode.WEAK and not self.windows.empty
+        )
         return Interval(
             self.command,
             self.periods,

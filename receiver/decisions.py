@@ -14,6 +14,7 @@ from scipy.special import gammainccinv
 from deepgnss.receiver.locks import (
     LockState,
     cn0_dbhz,
+    faint_before_dbhz,
     faint_cn0_dbhz,
     false_lock_side,
     fast_cn0_dbhz,
@@ -30,8 +31,12 @@ _ABSENT_DB = 7.0  # below that threshold: nothing is there
 _FAINT_S = 2.5  # of frequency tracking before its C/N0 is believed
 _STRONG_DB = 10.0  # above the limit: a signal whose loss is seen by few intervals …
 _STRONG_AIDED_DB = 6.0  # … and where an open loop bears to be begun in vain
-_EMPTY_DBHZ = 21.0  # of the last intervals: rather nothing there than something faint
-_KEPT_DBHZ = 25.0  # strong neighbours' cross-correlation below it ends no phase carried on
+_KEPT_DBHZ = 25.0  # strong neighbours' cross-correlation below it ends no phase carried on …
+_KEPT_S = 30.0  # … for so long: it may be the satellite itself, faint
+_RISING_INTERVALS = 10  # before which a signal must have been there to be a faint one
+_RISING_S = 0.1  # of frequency tracking before a strong signal is believed …
+_RISEN_DB = 3.0  # … that much above the threshold of phase lock
+_HALF_DB = 3.0
 _BACK_INTERVALS = 3  # that must each show a signal …
 _BACK_FALSE = math.exp(-6.0)  # … which noise does in one of so many
 
@@ -165,6 +170,10 @@ def _phase(channel: Tracked, here_s: float, cn0: float, fast: float, gone: bool)
 def _weak(channel: Tracked, here_s: float, cn0: float) -> Verdict:
     settings, windows = channel.settings, channel.windows
     lowest = settings.frequency_threshold_dbhz
+    if channel.aided and here_s > _RISING_S and _at_symbol_edge(channel):
+        now = recent_cn0_dbhz(channel.locks, channel.signal.period_s, _BACK_INTERVALS)
+        if now > settings.phase_threshold_dbhz + _RISEN_DB and _surely_back(channel):
+            return Go(Mode.PHASE, f"rose to {now:.1f} dB-Hz")
     if windows.under_way:
         return None
     recent = faint_cn0_dbhz(channel.locks, channel.signal.period_s)
@@ -197,16 +206,14 @@ def _hold(channel: Tracked, here_s: float, fast: float, gone: bool, period_s: fl
             return Go(mode, f"signal back at {now:.1f} dB-Hz")
     elif not gone and here_s > 0.1 and fast > settings.phase_threshold_dbhz:
         return Go(Mode.FREQUENCY, f"signal back at {fast:.1f} dB-Hz")
-    if (
-        channel.edge is not None
-        and here_s > 0.5
-        and back
-        > max(
-            settings.frequency_threshold_dbhz + _RETURN_DB,
-            surely_seen_dbhz(channel.signal.symbol_periods, period_s),
-            _KEPT_DBHZ if channel.phase_kept else -math.inf,
-        )
-    ):
+    least = max(
+        settings.frequency_threshold_dbhz + _RETURN_DB,
+        surely_seen_dbhz(channel.signal.symbol_periods, period_s),
+        _KEPT_DBHZ if channel.phase_kept and here_s < _KEPT_S else -math.inf,
+    )
+    # A strong signal on its way back passes through every strength.
+    before = faint_before_dbhz(channel.locks, period_s, _RISING_INTERVALS)
+    if channel.edge is not None and here_s > 0.5 and back > least and before > least - _HALF_DB:
         return Go(Mode.WEAK, f"signal back at {back:.1f} dB-Hz")
     if here_s > (settings.open_loop_s if channel.coasting else settings.lost_after_s):
         return Go(Mode.LOST, f"no signal for {here_s:.1f} s")
@@ -228,11 +235,12 @@ def _least_signal(symbols: int) -> float:
 
 
 def _refuge(channel: Tracked, fast_dbhz: float) -> Mode:
-    """Where a channel goes whose signal fell below what phase or FLL need."""
-    if channel.aided:
-        period_s = channel.signal.period_s
-        if recent_cn0_dbhz(channel.locks, period_s, _BACK_INTERVALS) < _EMPTY_DBHZ:
-            return Mode.HOLD
+    """Where a channel goes whose signal fell below what phase or FLL need.
+
+    A signal that falls to nothing passes through every strength too: an aided loop waits and sees.
+    """
+    if channel.aided and channel.edge is not None:
+        return Mode.HOLD
     bearable = fast_dbhz > channel.settings.frequency_threshold_dbhz
     return Mode.WEAK if bearable and channel.edge is not None else Mode.HOLD
 

@@ -223,6 +223,12 @@ def faint_cn0_dbhz(state: LockState, period_s: float) -> float:
     return _cn0_dbhz(sum(state.recent) / _FAINT, state.noise, period_s)
 
 
+def faint_before_dbhz(state: LockState, period_s: float, intervals: int) -> float:
+    """The same without the last intervals: whether a signal was there before they came."""
+    before = state.recent[:-intervals]
+    return _cn0_dbhz(sum(before) / max(1, _FAINT - intervals), state.noise, period_s)
+
+
 def surely_seen_dbhz(symbol_periods: int, period_s: float) -> float:
     """What `faint_cn0_dbhz` of noise alone does not reach: six times its spread."""
     symbols = _FAINT * _INTERVAL_S / (symbol_periods * period_s)

@@ -30,12 +30,14 @@ class Windows:
         self._taps: list[ComplexArray] = []
         self.off_hz = 0.0  # by which the frequency is off
         self.coherent_s = signal.symbol_s  # over which the last one was added up
+        self.empty = False  # whether the last one had nothing to follow
 
     def restart(self) -> None:
         """Forget what was collected: the generator was moved."""
         self._taps = []
         self._watch.clear()
         self.off_hz = 0.0
+        self.empty = False
 
     @property
     def under_way(self) -> bool:
@@ -65,7 +67,8 @@ class Windows:
         sums = symbols.sum(axis=1)
         self.off_hz = self._watch.off_hz(symbols[:, :, 1], unaided_hz)
         power = float(np.vdot(sums[:, 1], sums[:, 1]).real) / sums.shape[0]
-        if (power / size - noise) / size < self._lowest * signal.period_s * noise:
+        self.empty = (power / size - noise) / size < self._lowest * signal.period_s * noise
+        if self.empty:
             return None
         known = signs(end - taps.shape[0], sums.shape[0])
         window = window_of(sums, signal.symbol_s, known, size * noise)

@@ -468,18 +468,50 @@ def test_symbols_that_contradict_the_polarity_carried_through_begin_a_new_arc(
 # --- without a phase -----------------------------------------------------------------------------
 
 
+def nobody(_t: float) -> Coast | None:
+    return None
+
+
+def test_a_signal_that_comes_up_slowly_is_not_taken_for_a_faint_one() -> None:
+    """Around a tunnel's mouth it takes half a second from nothing to all of it."""
+
+    def cn0_dbhz(t: float) -> float:
+        return STRONG if t < 3.0 else min(STRONG, -10.0 + 80.0 * max(0.0, t - 6.0))
+
+    risen_s = 6.0 + 41.0 / 80.0  # at the threshold of phase lock and 3 dB
+    for seed in range(4):
+        model = Model(cn0_dbhz, seed=seed)
+        channel = start(model, SETTINGS)
+        seen = run_aided(channel, model, 8.0, nobody)
+        back = [e for e in seen.events if e.sample > 6.0 * RATE_HZ]
+        assert channel.mode is Mode.PHASE and channel.phase_valid
+        locked = next(e for e in back if e.what == "PLL").sample / RATE_HZ
+        assert locked < risen_s + 0.3
+
+
+def test_no_range_is_told_from_windows_without_a_signal() -> None:
+    model = Model(lambda t: 45.0 if t < 2.0 else 22.0 if t < 6.0 else -20.0)
+    channel = start(model, SETTINGS)
+    seen = run_aided(channel, model, 9.0, nobody)
+    assert seen.at(5.5).code_valid
+    gone = [i for i in seen.intervals if 6.75 < i.command.sample / RATE_HZ < 9.0]
+    assert gone and not any(i.code_valid for i in gone)
+
+
 def test_frequency_and_code_of_a_faint_signal_go_on() -> None:
     def cn0_dbhz(t: float) -> float:
         return 45.0 if t < 2.0 else -20.0 if 8.0 <= t < 28.0 else 23.0
 
     model = Model(cn0_dbhz, rate_hzps=5.0)
     channel = start(model, SETTINGS)
-    seen = run_aided(channel, model, 27.9, sure)
+    seen = run_aided(channel, model, 27.9, nobody)
+    modes = [e.what for e in seen.events if e.sample > 1.9 * RATE_HZ and e.what != "returned"]
+    assert modes == ["hold", "FFT", "hold"]
     assert channel.mode is Mode.HOLD
     t = channel.command.sample / RATE_HZ
     assert abs(channel.command.carrier_hz - model.doppler_hz - 5.0 * t) < 0.25
     assert abs(seen.code_errors_chips(model)[1][-1]) < 0.06
-    seen = run_aided(channel, model, 31.0, sure)
+    seen = run_aided(channel, model, 31.0, nobody)
     assert [e.what for e in seen.events] == ["FFT", "returned"]
     assert seen.named("FFT").sample / RATE_HZ < 28.8
 
