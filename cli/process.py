@@ -205,6 +205,8 @@ class _Run:
             told: dict[str, Any] = {"config": _echo(self.config)}
             if engine.coupled is not None:
                 told["inertial"] = engine.coupled.guard.summary()
+                if engine.coupled.screening is not None:
+                    told["ranges_refused"] = engine.coupled.screening.refused_tags
             outputs.finish(receiver.nav, receiver.accounts.outcomes, told)
         for line in engine.coupled.guard.warnings() if engine.coupled is not None else ():
             self.screen.note(f"warning: {line}")
