@@ -39,6 +39,7 @@ from deepgnss.receiver.locks import (
     cn0_dbhz,
     dark,
     restart_phase,
+    strength_dbhz,
     update_locks,
     update_powers,
 )
@@ -68,6 +69,7 @@ from deepgnss.receiver.trackers import (
 )
 from deepgnss.receiver.windows import Windows
 
+_FAR_OFF_HZ = 10.0  # a signal's return: a frequency loop would take its time
 _PULLED_IN = 5.0  # over a phase loop's bandwidth: when its frequency is one
 _HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
 
@@ -427,6 +429,13 @@ class Channel:
         return self.aided and self._open.vouched(self.command.sample, share)
 
     @property
+    def wide_cn0_dbhz(self) -> float:
+        """C/N0 in open loop by quarters of symbols: of a signal far off in frequency."""
+        return strength_dbhz(
+            self._open.wide_signal(self.locks.noise), self.locks.noise, self.signal.period_s
+        )
+
+    @property
     def phase_kept(self) -> bool:
         """Whether a phase carried through an open loop is right to the half cycle, or the whole."""
         return self._vouched_for(1.0) or (self._vouched_for(2.0) and self._held_signs() is not None)
@@ -468,6 +477,9 @@ class Channel:
 
     def _end_open_loop(self, mode: Mode) -> None:
         """The signal is back; a phase carried on is turned to what its first symbols show."""
+        off_hz = self._open.off_hz
+        if mode is Mode.FREQUENCY and abs(off_hz) > _FAR_OFF_HZ:
+            self._carrier = self._carrier._replace(frequency=self._carrier.frequency + off_hz)
         self._open.end(self.command.sample, self._carrier.frequency, self._aiding)
         if mode is Mode.PHASE:
             turn = self._open.seen_cycles(self._held_signs())

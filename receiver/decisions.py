@@ -89,6 +89,10 @@ class Tracked(Protocol):
         """Whether it runs on by aiding alone."""
 
     @property
+    def wide_cn0_dbhz(self) -> float:
+        """C/N0 in open loop, whatever the frequency is off."""
+
+    @property
     def phase_kept(self) -> bool:
         """Whether it has a phase that was carried on."""
 
@@ -204,6 +208,9 @@ def _hold(channel: Tracked, here_s: float, fast: float, gone: bool, period_s: fl
                 return None
             mode = Mode.PHASE if channel.phase_kept else Mode.FREQUENCY
             return Go(mode, f"signal back at {now:.1f} dB-Hz")
+        wide = channel.wide_cn0_dbhz
+        if wide > max(settings.phase_threshold_dbhz, now) + _RISEN_DB:
+            return Go(Mode.FREQUENCY, f"signal back at {wide:.1f} dB-Hz, off in frequency")
     elif not gone and here_s > 0.1 and fast > settings.phase_threshold_dbhz:
         return Go(Mode.FREQUENCY, f"signal back at {fast:.1f} dB-Hz")
     least = max(

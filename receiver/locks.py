@@ -180,7 +180,8 @@ def update_locks(state: LockState, seen: Accumulated, symbol_periods: int = 0) -
     )
 
 
-def _cn0_dbhz(signal: float, noise: float, period_s: float) -> float:
+def strength_dbhz(signal: float, noise: float, period_s: float) -> float:
+    """C/N0 of a signal's power per code period against that of noise; 0 where there is none."""
     if signal <= 0.0 or noise <= 0.0:
         return 0.0
     return max(0.0, 10.0 * math.log10(signal / (noise * period_s)))
@@ -188,12 +189,12 @@ def _cn0_dbhz(signal: float, noise: float, period_s: float) -> float:
 
 def cn0_dbhz(state: LockState, period_s: float) -> float:
     """C/N0 averaged over the slow time; 0 where no signal is seen."""
-    return _cn0_dbhz(state.signal, state.noise, period_s)
+    return strength_dbhz(state.signal, state.noise, period_s)
 
 
 def fast_cn0_dbhz(state: LockState, period_s: float) -> float:
     """C/N0 of the fast time against the noise of the slow one."""
-    return _cn0_dbhz(state.fast_signal, state.noise, period_s)
+    return strength_dbhz(state.fast_signal, state.noise, period_s)
 
 
 def recent_cn0_dbhz(state: LockState, period_s: float, intervals: int = _RECENT) -> float:
@@ -205,7 +206,7 @@ def recent_cn0_dbhz(state: LockState, period_s: float, intervals: int = _RECENT)
     if not state.recent:
         return 0.0
     recent = state.recent[-intervals:]
-    return _cn0_dbhz(sum(recent) / len(recent), state.noise, period_s)
+    return strength_dbhz(sum(recent) / len(recent), state.noise, period_s)
 
 
 def dark(state: LockState, period_s: float) -> bool:
@@ -220,13 +221,13 @@ def dark(state: LockState, period_s: float) -> bool:
 
 def faint_cn0_dbhz(state: LockState, period_s: float) -> float:
     """C/N0 of the last 0.6 s or so alone: 0.9 dB at 20 dB-Hz, and next to nothing for nothing."""
-    return _cn0_dbhz(sum(state.recent) / _FAINT, state.noise, period_s)
+    return strength_dbhz(sum(state.recent) / _FAINT, state.noise, period_s)
 
 
 def faint_before_dbhz(state: LockState, period_s: float, intervals: int) -> float:
     """The same without the last intervals: whether a signal was there before they came."""
     before = state.recent[:-intervals]
-    return _cn0_dbhz(sum(before) / max(1, _FAINT - intervals), state.noise, period_s)
+    return strength_dbhz(sum(before) / max(1, _FAINT - intervals), state.noise, period_s)
 
 
 def surely_seen_dbhz(symbol_periods: int, period_s: float) -> float:

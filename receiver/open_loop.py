@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import ComplexArray, FloatArray
 from deepgnss.receiver.modes import AidingRate, Coast
@@ -203,6 +205,9 @@ class OpenLoop:
         self._looked_after: int | None = None  # sample at which somebody last did
         # Sums of the last symbols, by the code period each lot begins at.
         self.symbols: deque[tuple[int, ComplexArray]] = deque(maxlen=_LOOKED_AT)
+        # The same in quarters: a signal too far off in frequency for whole symbols.
+        self._parts = max(1, signal.symbol_periods // 4)
+        self._quarters: deque[tuple[float, complex]] = deque(maxlen=_LOOKED_AT)
 
     # --- trust -------------------------------------------------------------------------------
 
@@ -286,14 +291,35 @@ class OpenLoop:
             carried = phase_since is not None and phase_since <= led[0].sample
             self._gap = Gap(led[0].sample, self._looked_after, carried)
         self.symbols.clear()
+        self._quarters.clear()
         return led
 
     def collect(self, prompts: ComplexArray, end: int) -> None:
         """Keep an update's symbols, up to a code period: they may be the first of the signal."""
         size = self._signal.symbol_periods
         if prompts.size % size == 0:
-            sums = prompts.reshape(-1, size) @ self._signal.secondary
-            self.symbols.append((end - prompts.size, sums))
+            stripped = prompts.reshape(-1, size) * self._signal.secondary
+            self.symbols.append((end - prompts.size, stripped.sum(axis=1)))
+            quarters = stripped.reshape(stripped.shape[0], -1, self._parts).sum(axis=2)
+            power = float(np.vdot(quarters, quarters).real) / quarters.size
+            turn = complex(np.vdot(quarters[:, :-1], quarters[:, 1:]))
+            self._quarters.append((power, turn))
+
+    def wide_signal(self, noise: float) -> float:
+        """Least power of the last updates' signal by quarters of symbols, as of a code period.
+
+        noise: its power in a code period.
+        """
+        if len(self._quarters) < _LOOKED_AT:
+            return 0.0
+        power = min(one for one, _ in self._quarters)
+        return (power / self._parts - noise) / self._parts
+
+    @property
+    def off_hz(self) -> float:
+        """By how much the carrier is above the generator's frequency, as quarters show it."""
+        turn = sum(one for _, one in self._quarters)
+        return cmath.phase(turn) / (math.tau * self._parts * self._signal.period_s)
 
     def end(self, sample: int, frequency_hz: float, aid: AidingRate) -> None:
         """The signal is back."""

@@ -489,6 +489,30 @@ def test_a_signal_that_comes_up_slowly_is_not_taken_for_a_faint_one() -> None:
         assert locked < risen_s + 0.3
 
 
+@pytest.mark.parametrize("off_hz", [-45.0, 30.0, 50.0])
+def test_a_signal_that_comes_back_far_off_in_frequency_is_seen(off_hz: float) -> None:
+    """After a long gap with a poor unit whole symbols of it add up to little, or to nothing."""
+
+    def drifted(model: Model, sample: int) -> AidingRate:
+        t = sample / RATE_HZ
+        share = min(1.0, max(0.0, (t - GONE_S) / (BACK_S - GONE_S)))
+        return exact(model, sample)._replace(
+            frequency_hz=exact(model, sample).frequency_hz + share * off_hz
+        )
+
+    for seed in range(3):
+        model = Model(blocked, seed=seed)
+        channel = start(model, SETTINGS)
+        seen = run_aided(channel, model, BACK_S + 1.0, nobody, drifted)
+        back = [e for e in seen.events if e.sample > (BACK_S - 0.1) * RATE_HZ]
+        assert [e.what for e in back][:3] == ["FLL", "PLL", "phase lock"]
+        assert "false lock" not in [e.what for e in seen.events]
+        assert back[0].sample / RATE_HZ < BACK_S + 0.15
+        t = channel.command.sample / RATE_HZ
+        true_hz = (model.phase_cycles(np.array([t + 0.01, t]))).tolist()
+        assert abs(channel.command.carrier_hz - (true_hz[0] - true_hz[1]) / 0.01) < 3.0
+
+
 def test_no_range_is_told_from_windows_without_a_signal() -> None:
     model = Model(lambda t: 45.0 if t < 2.0 else 22.0 if t < 6.0 else -20.0)
     channel = start(model, SETTINGS)
