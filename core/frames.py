@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from deepgnss.core.attitude import Quaternion
 from deepgnss.core.earth import SEMI_MAJOR_M, SEMI_MINOR_M, place_e_m
 from deepgnss.core.jit import kernel
 from deepgnss.core.records import FloatArray
@@ -58,6 +59,14 @@ def C_ne(lat_rad: float | FloatArray, lon_rad: float | FloatArray) -> FloatArray
     sl, cl, so, co = np.sin(lat_rad), np.cos(lat_rad), np.sin(lon_rad), np.cos(lon_rad)
     rows = [[-sl * co, -sl * so, cl], [-so, co, 0.0 * so], [-cl * co, -cl * so, -sl]]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+@kernel
+def q_en(lat_rad: float, lon_rad: float) -> Quaternion:
+    """Rotation NED → ECEF as a quaternion: down the meridian, then about the Earth's axis."""
+    half_lon, half_tilt = 0.5 * lon_rad, -0.5 * (lat_rad + 0.5 * math.pi)
+    cl, sl, ct, st = np.cos(half_lon), np.sin(half_lon), np.cos(half_tilt), np.sin(half_tilt)
+    return cl * ct, -sl * st, cl * st, sl * ct
 
 
 def azimuth_elevation(

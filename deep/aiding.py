@@ -96,7 +96,7 @@ def motion_over(
     to_s = min(to_s, float(trajectory.time_s[-1]))
     count = max(2, int((to_s - from_s) / STEP_S) + 1)
     time_s = np.linspace(from_s, to_s, count)
-    return Motion(time_s, trajectory.origin, trajectory.antenna(time_s, lever_b_m).r_e_m)
+    return Motion(time_s, trajectory.origin, trajectory.antenna_place(time_s, lever_b_m))
 
 
 class Sights(NamedTuple):

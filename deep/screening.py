@@ -91,7 +91,7 @@ class _Way:
         if not self._at_s < time_s <= trajectory.time_s[-1]:
             return time_s == self._at_s
         both_s = np.array([self._at_s, time_s])
-        r_e_m = trajectory.antenna(both_s, self._lever_b_m).r_e_m
+        r_e_m = trajectory.antenna_place(both_s, self._lever_b_m)
         lat_rad, lon_rad, _ = geodetic(r_e_m[1])
         to_e = C_ne(lat_rad, lon_rad).T
         P_n = trajectory.antenna_covariance(both_s, self._lever_b_m)[:, :3, :3]

@@ -169,7 +169,7 @@ def system_matrix(
     en_by_r[1, 2] = -v_north / meridian_m**2
     en_by_r[2, 2] = -v_east * tan / transverse_m**2
     en_by_r[2, 0] = -v_east * (1.0 + tan * tan) / (transverse_m * meridian_m)
-    v_cross = _skew(v_n_mps)
+    v_cross = cross_matrix(v_n_mps)
 
     F = np.zeros((states, states))
     F[0, 0] = -v_down / meridian_m
@@ -181,13 +181,13 @@ def system_matrix(
 
     F[3:6, 0:3] = v_cross @ (2.0 * ie_by_r + en_by_r)
     F[5, 2] += 2.0 * gravity_mps2(lat_rad, height_m) / (math.sqrt(meridian_m * transverse_m))
-    F[3:6, 3:6] = v_cross @ en_by_v - _skew(coriolis)
-    F[3:6, 6:9] = _skew((f_n_mps2[0], f_n_mps2[1], f_n_mps2[2]))
+    F[3:6, 3:6] = v_cross @ en_by_v - cross_matrix(coriolis)
+    F[3:6, 6:9] = cross_matrix((f_n_mps2[0], f_n_mps2[1], f_n_mps2[2]))
     F[3:6, 12:15] = -C_nb
 
     F[6:9, 0:3] = ie_by_r + en_by_r
     F[6:9, 3:6] = en_by_v
-    F[6:9, 6:9] = -_skew(omega_in)
+    F[6:9, 6:9] = -cross_matrix(omega_in)
     F[6:9, 9:12] = C_nb
 
     for axis in range(3):
@@ -293,7 +293,8 @@ def transition(
 
 
 @kernel
-def _skew(v: Vector) -> FloatArray:
+def cross_matrix(v: Vector) -> FloatArray:
+    """As `attitude.skew`, of three numbers."""
     cross = np.zeros((3, 3))
     cross[0, 1], cross[0, 2], cross[1, 2] = -v[2], v[1], -v[0]
     cross[1, 0], cross[2, 0], cross[2, 1] = v[2], -v[1], v[0]

@@ -12,9 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepgnss.core.attitude import rotation_matrix, skew
-from deepgnss.core.earth import earth_rate_n, transport_rate_n
-from deepgnss.core.frames import C_ne, ecef
+from deepgnss.core.attitude import (
+    Quaternion,
+    Vector,
+    cross,
+    matrix,
+    rotated,
+    rotation_matrix,
+    skew,
+)
+from deepgnss.core.earth import earth_rate_n, place_e_m, transport_rate_n
+from deepgnss.core.frames import C_ne, q_en
+from deepgnss.core.jit import kernel
 from deepgnss.core.records import FloatArray, InsState
 from deepgnss.ins.error_model import (
     ATTITUDE,
@@ -23,8 +32,10 @@ from deepgnss.ins.error_model import (
     POSITION,
     VELOCITY,
     WITH_SCALES,
+    cross_matrix,
 )
 from deepgnss.ins.error_state import Estimate, Layout
+from deepgnss.ins.mechanization import pose_of
 
 
 class Measurement(NamedTuple):
@@ -56,27 +67,55 @@ def body_point(
     ins: InsState, omega_ib_b_radps: FloatArray, lever_b_m: FloatArray, layout: Layout
 ) -> Point:
     """Where a point at a lever arm is and how it moves; ω_ib (3,) freed of sensor errors."""
-    C_nb = rotation_matrix(ins.q_nb)
-    omega_in = _omega_in_n(ins)
-    lever_n = C_nb @ lever_b_m
-    swing_n = C_nb @ np.cross(omega_ib_b_radps, lever_b_m)  # seen from inertial space
-
-    H_position = np.zeros((3, layout.size))
-    H_position[:, POSITION] = np.eye(3)
-    H_position[:, ATTITUDE] = skew(lever_n)
-    H_velocity = np.zeros((3, layout.size))
-    H_velocity[:, VELOCITY] = np.eye(3)
-    H_velocity[:, ATTITUDE] = skew(swing_n) - skew(omega_in) @ skew(lever_n)
-    H_velocity[:, GYRO_BIAS] = C_nb @ skew(lever_b_m)
-    if layout.inertial == WITH_SCALES:
-        H_velocity[:, GYRO_SCALE] = C_nb @ skew(lever_b_m) * omega_ib_b_radps
-    C_en = C_ne(ins.lat_rad, ins.lon_rad).T
     return Point(
-        ecef(ins.lat_rad, ins.lon_rad, ins.height_m) + C_en @ lever_n,
-        ins.v_n_mps + swing_n - np.cross(omega_in, lever_n),
-        H_position,
-        H_velocity,
+        *_point(
+            *pose_of(ins),
+            omega_ib_b_radps,
+            lever_b_m,
+            layout.size,
+            layout.inertial == WITH_SCALES,
+        )
     )
+
+
+@kernel
+def _point(
+    lat_rad: float,
+    lon_rad: float,
+    height_m: float,
+    v_n_mps: Vector,
+    q_nb: Quaternion,
+    omega_ib_b_radps: FloatArray,
+    lever_b_m: FloatArray,
+    size: int,
+    scales: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Fields of `Point`."""
+    lever_b = (lever_b_m[0], lever_b_m[1], lever_b_m[2])
+    omega_b = (omega_ib_b_radps[0], omega_ib_b_radps[1], omega_ib_b_radps[2])
+    ie = earth_rate_n(lat_rad)
+    en = transport_rate_n(lat_rad, height_m, v_n_mps[0], v_n_mps[1])
+    omega_in = (ie[0] + en[0], ie[1] + en[1], ie[2] + en[2])
+    lever_n = rotated(q_nb, lever_b)
+    swing_n = rotated(q_nb, cross(omega_b, lever_b))  # seen from inertial space
+    dragged = cross(omega_in, lever_n)
+
+    H_position, H_velocity = np.zeros((3, size)), np.zeros((3, size))
+    H_position[:, POSITION] = H_velocity[:, VELOCITY] = np.eye(3)
+    lever_cross = cross_matrix(lever_n)
+    H_position[:, ATTITUDE] = lever_cross
+    H_velocity[:, ATTITUDE] = cross_matrix(swing_n) - cross_matrix(omega_in) @ lever_cross
+    swung = np.array(matrix(q_nb)) @ cross_matrix(lever_b)
+    H_velocity[:, GYRO_BIAS] = swung
+    if scales:
+        H_velocity[:, GYRO_SCALE] = swung * omega_ib_b_radps
+    imu_e = place_e_m(lat_rad, lon_rad, height_m)
+    lever_e = rotated(q_en(lat_rad, lon_rad), lever_n)
+    r_e_m, v_out_n_mps = np.empty(3), np.empty(3)
+    for axis in range(3):
+        r_e_m[axis] = imu_e[axis] + lever_e[axis]
+        v_out_n_mps[axis] = v_n_mps[axis] + swing_n[axis] - dragged[axis]
+    return r_e_m, v_out_n_mps, H_position, H_velocity
 
 
 def position(

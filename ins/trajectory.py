@@ -7,17 +7,30 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import pymap3d
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.interpolate import CubicSpline
 
-from deepgnss.core.attitude import rotate, skew, slerp
+from deepgnss.core.attitude import (
+    Quaternion,
+    Vector,
+    conjugate,
+    cross,
+    from_rotation_vector,
+    product,
+    rotated,
+    rotation_matrix,
+    skew,
+    to_rotation_vector,
+)
 from deepgnss.core.earth import (
     earth_rate_n,
     meridian_radius_m,
+    place_e_m,
     transport_rate_n,
     transverse_radius_m,
 )
 from deepgnss.core.errors import NumericalError
+from deepgnss.core.frames import q_en
+from deepgnss.core.jit import kernel
 from deepgnss.core.records import FloatArray
 from deepgnss.core.time import GpsTime
 from deepgnss.ins.error_model import ATTITUDE, GYRO_BIAS, POSITION, VELOCITY
@@ -76,37 +89,20 @@ class Trajectory:
         cubic spline through all rows, attitude turns evenly. Raises NumericalError outside.
         """
         t = self._inside(time_s)
-        lat_rad, lon_rad, height_m = self._place(t).T
-        row = np.clip(np.searchsorted(self.time_s, t, side="right"), 1, self.time_s.size - 1)
-        passed_s = t - self.time_s[row - 1]
-        share = passed_s / (self.time_s[row] - self.time_s[row - 1])
-        return Prediction(
-            lat_rad,
-            lon_rad,
-            height_m,
-            self._velocity(t),
-            slerp(self.q_nb[row - 1], self.q_nb[row], share),
-            self._rate(t),
-        )
+        lat_rad, lon_rad, height_m, q_nb, omega_ib_b_radps = self._poses(t)
+        return Prediction(lat_rad, lon_rad, height_m, self._velocity(t), q_nb, omega_ib_b_radps)
 
     def antenna(self, time_s: FloatArray, lever_b_m: FloatArray) -> Antenna:
         """Point at a lever arm (3,) in body axes at instants (k,): C_nb·l away, turning with ω_nb.
 
         v = v_imu + C_nb·(ω_ib × l) − ω_in × C_nb·l.
         """
-        imu = self.predict(time_s)
-        lever_n = rotate(imu.q_nb, lever_b_m)
-        swing_n = rotate(imu.q_nb, np.cross(imu.omega_ib_b_radps, lever_b_m))
-        transport = transport_rate_n(
-            imu.lat_rad, imu.height_m, imu.v_n_mps[:, 0].copy(), imu.v_n_mps[:, 1].copy()
-        )
-        omega_in = np.column_stack(earth_rate_n(imu.lat_rad)) + np.column_stack(transport)
-        v_n = imu.v_n_mps + swing_n - np.cross(omega_in, lever_n)
-        r_e = np.column_stack(
-            pymap3d.geodetic2ecef(imu.lat_rad, imu.lon_rad, imu.height_m, deg=False)
-        )
-        to_e = _q_en(imu.lat_rad, imu.lon_rad)
-        return Antenna(r_e + rotate(to_e, lever_n), rotate(to_e, v_n), v_n)
+        return Antenna(*_attached(*self.predict(time_s), lever_b_m))
+
+    def antenna_place(self, time_s: FloatArray, lever_b_m: FloatArray) -> FloatArray:
+        """Position (k, 3) of `antenna` alone."""
+        lat_rad, lon_rad, height_m, q_nb, _ = self._poses(self._inside(time_s))
+        return _places(lat_rad, lon_rad, height_m, q_nb, lever_b_m)
 
     def covariance(self, time_s: FloatArray) -> FloatArray:
         """Covariance of the errors at instants: (k, size, size), linear between those at hand.
@@ -124,15 +120,16 @@ class Trajectory:
 
         To the first order in attitude and gyro bias; without the frame's own rate (1e-4 rad/s).
         """
-        P, imu = self.covariance(time_s), self.predict(time_s)
+        P = self.covariance(time_s)
+        *_, q_nb, omega_ib_b_radps = self._poses(self._inside(time_s))
+        C_nb, lever_cross = rotation_matrix(q_nb), skew(lever_b_m)
+        swing_b = omega_ib_b_radps @ lever_cross  # ω × l
         H = np.zeros((*P.shape[:1], 6, P.shape[-1]))
         H[:, 0:3, POSITION] = np.eye(3)
-        H[:, 0:3, ATTITUDE] = skew(rotate(imu.q_nb, lever_b_m))
+        H[:, 0:3, ATTITUDE] = skew(C_nb @ lever_b_m)
         H[:, 3:6, VELOCITY] = np.eye(3)
-        swing_b = np.cross(imu.omega_ib_b_radps, lever_b_m)
-        H[:, 3:6, ATTITUDE] = skew(rotate(imu.q_nb, swing_b))
-        columns = [rotate(imu.q_nb, column) for column in skew(lever_b_m).T]
-        H[:, 3:6, GYRO_BIAS] = np.stack(columns, axis=-1)
+        H[:, 3:6, ATTITUDE] = skew((C_nb @ swing_b[:, :, np.newaxis])[:, :, 0])
+        H[:, 3:6, GYRO_BIAS] = C_nb @ lever_cross
         return H @ P @ np.swapaxes(H, -1, -2)
 
     def _inside(self, time_s: FloatArray) -> FloatArray:
@@ -147,28 +144,142 @@ class Trajectory:
             )
         return np.clip(t, first, last)
 
-    @cached_property
-    def _place(self) -> CubicHermiteSpline:
-        """Latitude, longitude, height over time."""
-        north_m = meridian_radius_m(self.lat_rad) + self.height_m
-        east_m = (transverse_radius_m(self.lat_rad) + self.height_m) * np.cos(self.lat_rad)
-        per_second = self.v_n_mps / np.column_stack([north_m, east_m, -np.ones_like(north_m)])
-        places = np.column_stack([self.lat_rad, self.lon_rad, self.height_m])
-        return CubicHermiteSpline(self.time_s, places, per_second)
+    def _poses(
+        self, t: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """All of a prediction but velocity."""
+        return _poses(
+            self.time_s,
+            self.lat_rad,
+            self.lon_rad,
+            self.height_m,
+            self.v_n_mps,
+            self.q_nb,
+            self.omega_ib_b_radps,
+            t,
+        )
+
+    def _velocity(self, t: FloatArray) -> FloatArray:
+        row = np.searchsorted(self.time_s, t)
+        if (self.time_s[row] == t).all():  # the spline meets its rows
+            return self.v_n_mps[row]
+        return np.asarray(self._velocities(t))
 
     @cached_property
-    def _velocity(self) -> CubicSpline:
+    def _velocities(self) -> CubicSpline:
         return CubicSpline(self.time_s, self.v_n_mps)
 
-    def _rate(self, t: FloatArray) -> FloatArray:
-        """Angular rate linear between the middles of the increments."""
-        middles = 0.5 * (self.time_s[:-1] + self.time_s[1:])
-        axes = [np.interp(t, middles, self.omega_ib_b_radps[:, axis]) for axis in range(3)]
-        return np.column_stack(axes)
+
+@kernel
+def _poses(
+    time_s: FloatArray,
+    lat_rad: FloatArray,
+    lon_rad: FloatArray,
+    height_m: FloatArray,
+    v_n_mps: FloatArray,
+    q_nb: FloatArray,
+    omega_ib_b_radps: FloatArray,
+    t: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Latitudes, longitudes, heights, attitudes and rates at instants within the rows."""
+    count, last = t.size, time_s.size - 1
+    places, q, omega = np.empty((3, count)), np.empty((count, 4)), np.empty((count, 3))
+    for k in range(count):
+        row = min(max(int(np.searchsorted(time_s, t[k], side="right")), 1), last)
+        passed_s, length_s = t[k] - time_s[row - 1], time_s[row] - time_s[row - 1]
+        slow = _per_second(lat_rad[row - 1], height_m[row - 1], v_n_mps[row - 1])
+        fast = _per_second(lat_rad[row], height_m[row], v_n_mps[row])
+        for axis, values in enumerate((lat_rad, lon_rad, height_m)):
+            places[axis, k] = _hermite(
+                passed_s, length_s, values[row - 1], values[row], slow[axis], fast[axis]
+            )
+        before, after = q_nb[row - 1], q_nb[row]
+        turned = _slerp(
+            (before[0], before[1], before[2], before[3]),
+            (after[0], after[1], after[2], after[3]),
+            passed_s / length_s,
+        )
+        q[k, 0], q[k, 1], q[k, 2], q[k, 3] = turned
+        one = row - 1  # increments around, between whose middles the rate is linear
+        middle_s = 0.5 * (time_s[row - 1] + time_s[row])
+        other = max(one - 1, 0) if t[k] < middle_s else min(one + 1, last - 1)
+        apart_s = 0.5 * (time_s[other] + time_s[other + 1]) - middle_s
+        share = (t[k] - middle_s) / apart_s if other != one else 0.0
+        for axis in range(3):
+            rate = omega_ib_b_radps[one, axis]
+            omega[k, axis] = rate + share * (omega_ib_b_radps[other, axis] - rate)
+    return places[0], places[1], places[2], q, omega
 
 
-def _q_en(lat_rad: FloatArray, lon_rad: FloatArray) -> FloatArray:
-    """Rotation NED → ECEF (k, 4): down the meridian, then about the Earth's axis."""
-    half_lon, half_tilt = 0.5 * lon_rad, -0.5 * (lat_rad + 0.5 * np.pi)
-    cl, sl, ct, st = np.cos(half_lon), np.sin(half_lon), np.cos(half_tilt), np.sin(half_tilt)
-    return np.column_stack([cl * ct, -sl * st, cl * st, sl * ct])
+@kernel
+def _per_second(lat_rad: float, height_m: float, v_n_mps: FloatArray) -> Vector:
+    """Rates of latitude, longitude and height."""
+    north_m = meridian_radius_m(lat_rad) + height_m
+    east_m = (transverse_radius_m(lat_rad) + height_m) * np.cos(lat_rad)
+    return v_n_mps[0] / north_m, v_n_mps[1] / east_m, -v_n_mps[2]
+
+
+@kernel
+def _hermite(t: float, length: float, y0: float, y1: float, slope0: float, slope1: float) -> float:
+    """The cubic through two values and slopes, t after the first."""
+    slope = (y1 - y0) / length
+    bend = (slope0 + slope1 - 2.0 * slope) / length
+    return y0 + t * (slope0 + t * ((slope - slope0) / length - bend + t * bend / length))
+
+
+@kernel
+def _slerp(q0: Quaternion, q1: Quaternion, share: float) -> Quaternion:
+    turn = to_rotation_vector(product(conjugate(q0), q1))
+    step = (turn[0] * share, turn[1] * share, turn[2] * share)
+    return product(q0, from_rotation_vector(step))  # type: ignore[no-any-return]
+
+
+@kernel
+def _places(
+    lat_rad: FloatArray,
+    lon_rad: FloatArray,
+    height_m: FloatArray,
+    q_nb: FloatArray,
+    lever_b_m: FloatArray,
+) -> FloatArray:
+    """Points (k, 3), ECEF, at a lever arm of poses (k)."""
+    r_e_m = np.empty((lat_rad.size, 3))
+    lever_b = (lever_b_m[0], lever_b_m[1], lever_b_m[2])
+    for k in range(lat_rad.size):
+        lever_n = rotated((q_nb[k, 0], q_nb[k, 1], q_nb[k, 2], q_nb[k, 3]), lever_b)
+        lever_e = rotated(q_en(lat_rad[k], lon_rad[k]), lever_n)
+        imu_e = place_e_m(lat_rad[k], lon_rad[k], height_m[k])
+        for axis in range(3):
+            r_e_m[k, axis] = imu_e[axis] + lever_e[axis]
+    return r_e_m
+
+
+@kernel
+def _attached(
+    lat_rad: FloatArray,
+    lon_rad: FloatArray,
+    height_m: FloatArray,
+    v_n_mps: FloatArray,
+    q_nb: FloatArray,
+    omega_ib_b_radps: FloatArray,
+    lever_b_m: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fields of `Antenna` at a lever arm of poses (k)."""
+    v_e_mps, v_out_n_mps = np.empty((lat_rad.size, 3)), np.empty((lat_rad.size, 3))
+    lever_b = (lever_b_m[0], lever_b_m[1], lever_b_m[2])
+    for k in range(lat_rad.size):
+        q = (q_nb[k, 0], q_nb[k, 1], q_nb[k, 2], q_nb[k, 3])
+        omega_b = (omega_ib_b_radps[k, 0], omega_ib_b_radps[k, 1], omega_ib_b_radps[k, 2])
+        swing_n = rotated(q, cross(omega_b, lever_b))
+        ie = earth_rate_n(lat_rad[k])
+        en = transport_rate_n(lat_rad[k], height_m[k], v_n_mps[k, 0], v_n_mps[k, 1])
+        dragged = cross((ie[0] + en[0], ie[1] + en[1], ie[2] + en[2]), rotated(q, lever_b))
+        v_n = (
+            v_n_mps[k, 0] + swing_n[0] - dragged[0],
+            v_n_mps[k, 1] + swing_n[1] - dragged[1],
+            v_n_mps[k, 2] + swing_n[2] - dragged[2],
+        )
+        v_e = rotated(q_en(lat_rad[k], lon_rad[k]), v_n)
+        for axis in range(3):
+            v_e_mps[k, axis], v_out_n_mps[k, axis] = v_e[axis], v_n[axis]
+    return _places(lat_rad, lon_rad, height_m, q_nb, lever_b_m), v_e_mps, v_out_n_mps

@@ -15,7 +15,6 @@ from deepgnss.deep.aiding import Aider, Listener, Skyline
 from deepgnss.deep.bridging import Bridge, Bridged, Loop, Tag
 from deepgnss.deep.navigation import Leg
 from deepgnss.ins.error_model import InitialSigmas, initial_covariance, process_noise, transition
-from deepgnss.ins.trajectory import Antenna
 from deepgnss.receiver.clock import ReceiverClock as ClockModel
 from deepgnss.receiver.clock import to_ns
 from deepgnss.receiver.pvt import PvtParameters
@@ -51,9 +50,8 @@ class Way:
     origin: GpsTime
     time_s: FloatArray
 
-    def antenna(self, time_s: FloatArray, _lever_b_m: FloatArray) -> Antenna:
-        pose = self.vehicle.point(time_s)
-        return Antenna(pose.r_m, pose.v_mps, pose.v_mps)
+    def antenna_place(self, time_s: FloatArray, _lever_b_m: FloatArray) -> FloatArray:
+        return self.vehicle.point(time_s).r_m
 
 
 @dataclass(frozen=True)

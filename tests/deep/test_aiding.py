@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -134,8 +133,8 @@ class _Straight:
     def __init__(self, v_e_mps: FloatArray) -> None:
         self._v_e_mps = v_e_mps
 
-    def antenna(self, time_s: FloatArray, _lever_b_m: FloatArray) -> SimpleNamespace:
-        return SimpleNamespace(r_e_m=PLACE_E_M + np.outer(time_s, self._v_e_mps))
+    def antenna_place(self, time_s: FloatArray, _lever_b_m: FloatArray) -> FloatArray:
+        return np.asarray(PLACE_E_M + np.outer(time_s, self._v_e_mps))
 
 
 def test_open_loop_is_led_by_the_velocity_that_phases_have_put_right() -> None:

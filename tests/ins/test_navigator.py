@@ -172,6 +172,7 @@ def test_antenna_is_where_the_lever_arm_puts_it_and_moves_so() -> None:
     t = np.linspace(0.3, 4.7, 40)
     antenna = trajectory.antenna(t, LEVER_B_M)
     assert np.abs(antenna.r_e_m - truth(t)).max() < 1e-4
+    np.testing.assert_array_equal(trajectory.antenna_place(t, LEVER_B_M), antenna.r_e_m)
     step = 1e-3
     velocity = (truth(t + step) - truth(t - step)) / (2.0 * step)
     assert np.abs(antenna.v_e_mps - velocity).max() < 2e-4
