@@ -106,7 +106,10 @@ class Bank:
         first, end = window
         events = []
         tracked = frozenset(self.channels)
-        strong = [self._as_seen(channel, prn, first) for prn, channel in self.channels.items()]
+
+        def strong() -> list[Acquisition]:
+            return [self._as_seen(channel, prn, first) for prn, channel in self.channels.items()]
+
         outcomes = self._searcher.look(feed, first, end, place, nav, tracked, executor, strong)
         for seen, sight in outcomes:
             accounts.searched(seen)

@@ -69,6 +69,7 @@ from deepgnss.receiver.trackers import (
 )
 from deepgnss.receiver.windows import Windows
 
+_FOUND_AGAIN_S = 0.3  # after a gap: twice the time of a frequency loop
 _FAR_OFF_HZ = 10.0  # a signal's return: a frequency loop would take its time
 _PULLED_IN = 5.0  # over a phase loop's bandwidth: when its frequency is one
 _HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
@@ -136,6 +137,7 @@ class Channel:
         self._symbol_sum = 0j
         self._symbol_periods = 0
         self._aiding = NO_AIDING
+        self._told_by: AidingSource = unaided  # whose word that is
         self._open = OpenLoop(signal, sample_rate_hz, settings.open_loop_phase_sigma_cycles)
         self.unproven = False  # the polarity was carried through an open loop
         self._since = sample  # sample of the last change of mode
@@ -153,6 +155,7 @@ class Channel:
         self.phase_valid = False
         self.frequency_error_hz = 0.0
         self._acquired_hz = doppler_hz
+        self._returned = sample - int(1e9)  # from no gap yet
 
         self._code_loop = CodeLoop(
             settings,
@@ -327,10 +330,10 @@ class Channel:
         navigation, not a motion.
         """
         was, aid = self._aiding, aiding(self.command.sample + samples)
-        self._aiding = aid
+        told_before, self._aiding, self._told_by = self._told_by, aid, aiding
         if NO_AIDING in (was, aid):  # it begins or ends: a loop with a rate of its own goes on
             return carrier if self._has_own_rate else carrier._replace(rate=aid.rate_hzps)
-        if self.mode is Mode.PHASE:
+        if self.mode is Mode.PHASE and aiding is not told_before:
             before = aiding(self.command.sample)
             was = before if self._has_own_rate else before._replace(rate_hzps=was.rate_hzps)
         step_hz = aid.frequency_hz - (was.frequency_hz + samples / self._rate * was.rate_hzps)
@@ -481,6 +484,7 @@ class Channel:
         if mode is Mode.FREQUENCY and abs(off_hz) > _FAR_OFF_HZ:
             self._carrier = self._carrier._replace(frequency=self._carrier.frequency + off_hz)
         self._open.end(self.command.sample, self._carrier.frequency, self._aiding)
+        self._returned = self.command.sample
         if mode is Mode.PHASE:
             turn = self._open.seen_cycles(self._held_signs())
             self._carrier = self._carrier._replace(phase=self._carrier.phase + turn)
@@ -490,6 +494,11 @@ class Channel:
     def _tell(self, verdict: str) -> None:
         if verdict:
             self._note("returned", verdict)
+
+    @property
+    def _found_again_s(self) -> float:
+        """Time after a gap in which the frequency is the prediction's rather than the loop's."""
+        return 3.0 * self.windows.seconds if self.mode is Mode.WEAK else _FOUND_AGAIN_S
 
     # --- detect, collect, decide -------------------------------------------------------------
 
@@ -748,6 +757,7 @@ class Channel:
             self.cn0_dbhz,
             self.half_cycle,
             coasting=self.coasting,
+            frequency_valid=self._seconds_since(self._returned) > self._found_again_s,
         )
 
     def at(self, sample: int) -> Interval:

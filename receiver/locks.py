@@ -173,10 +173,15 @@ def update_locks(state: LockState, seen: Accumulated, symbol_periods: int = 0) -
             keep * shifted[1] + gain * same,
             keep * shifted[2] + gain * up,
         )
-    return state._replace(
-        phase=state.phase + gain * (double - state.phase),
-        phase_seconds=phase_seconds,
-        shifted=shifted,
+    return LockState(
+        state.seconds,
+        state.signal,
+        state.fast_signal,
+        state.recent,
+        state.noise,
+        state.phase + gain * (double - state.phase),
+        phase_seconds,
+        shifted,
     )
 
 

@@ -6,7 +6,7 @@ Weak ones take longer sums than an epoch holds: those searches go back over samp
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -176,7 +176,7 @@ class Searcher:
         nav: NavData,
         tracked: frozenset[int],
         executor: Executor | None,
-        strong: Sequence[Acquisition] = (),
+        strong: Callable[[], Sequence[Acquisition]] = tuple,
     ) -> list[Outcome]:
         """Search on the samples from `first` on, at most to `end`, or on those before `first`.
 
@@ -238,7 +238,7 @@ class Searcher:
         place: Place,
         nav: NavData,
         taken: frozenset[int],
-        strong: Sequence[Acquisition],
+        strong: Callable[[], Sequence[Acquisition]],
     ) -> list[Outcome]:
         """The long search of one predicted satellite that a usual search has missed."""
         weak = self._settings.weak
@@ -258,7 +258,7 @@ class Searcher:
         self._next_weak = first + round(self._settings.weak_every_s * self._rate)
         self._tried_long[prn] = first
         aim = aim_of(sight, place, self._signal, self._settings)
-        seen = weak_search(feed.over, first, self._signal, prn, aim, weak, self._rate, strong)
+        seen = weak_search(feed.over, first, self._signal, prn, aim, weak, self._rate, strong())
         return [Outcome(seen, sight)]
 
     def _blind_search(self, feed: SumFeed, first: int, prn: int, few: bool) -> Outcome:

@@ -10,10 +10,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.special import i0e
 
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.records import ComplexArray, FloatArray
 
 _FIRST_SYMBOLS = 12  # whose rotation the demodulator starts with
-_STEPS = 256  # of rotation tried
+_STEPS = 256  # of rotation tried …
+_TURNS = np.exp(-2j * np.pi * np.arange(_STEPS) / _STEPS)  # … and they themselves
 
 
 class BitSync(NamedTuple):
@@ -126,10 +128,20 @@ def demodulate(sums: ComplexArray, symbol_s: float = 0.02) -> Demodulated:
 def decided_signs(sums: ComplexArray) -> FloatArray:
     """Signs ±1 of consecutive symbol sums (n,) up to a common one, whatever their rotation."""
     phase, step = _rotation(sums)
-    turned = sums * np.exp(-1j * (phase + step * np.arange(sums.size)))
-    return np.where(turned.real < 0.0, -1.0, 1.0)
+    return _signs(sums, phase, step)
 
 
+@brief_kernel
+def _signs(sums: ComplexArray, phase: float, step: float) -> FloatArray:
+    signs = np.ones(sums.size)
+    for k in range(sums.size):
+        angle = phase + step * k
+        if sums[k].real * np.cos(angle) + sums[k].imag * np.sin(angle) < 0.0:
+            signs[k] = -1.0
+    return signs
+
+
+@brief_kernel
 def _rotation(sums: ComplexArray) -> tuple[float, float]:
     """Most likely phase of the first symbol and step per symbol, rad, whatever the signs.
 
@@ -137,7 +149,13 @@ def _rotation(sums: ComplexArray) -> tuple[float, float]:
     """
     if sums.size == 0:
         return 0.0, 0.0
-    spectrum = np.fft.fft(sums * sums, _STEPS)
-    peak = int(np.argmax(np.abs(spectrum)))
-    step = 2.0 * math.pi * float(np.fft.fftfreq(_STEPS)[peak])
-    return 0.5 * cmath.phase(complex(spectrum[peak])), 0.5 * step
+    best, most, peak = 0.0j, -1.0, 0
+    for k in range(_STEPS):  # a spectrum of few values: quicker than a transform
+        line = 0.0j
+        for n in range(min(sums.size, _STEPS)):
+            line += sums[n] * sums[n] * _TURNS[k * n % _STEPS]
+        power = line.real * line.real + line.imag * line.imag
+        if power > most:
+            best, most, peak = line, power, k
+    step = 2.0 * math.pi * (peak if peak < _STEPS // 2 else peak - _STEPS) / _STEPS
+    return 0.5 * cmath.phase(best), 0.5 * step

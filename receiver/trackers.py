@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.loops import loop_gains, settling_time_s
 from deepgnss.core.records import ComplexArray
 from deepgnss.receiver.discriminators import (
@@ -45,9 +46,19 @@ def accumulate(
     periods: ComplexArray, period_s: float, coherent: bool, blind: bool = False
 ) -> Accumulated:
     """Sums over the code periods (n, taps) of an interval."""
-    early, prompt, late = periods.sum(axis=0).tolist()
+    early, prompt, late = _totals(periods)
     seconds = periods.shape[0] * period_s
     return Accumulated(periods, early, prompt, late, seconds, period_s, coherent, blind)
+
+
+@brief_kernel
+def _totals(periods: ComplexArray) -> tuple[complex, complex, complex]:
+    early = prompt = late = 0.0j
+    for k in range(periods.shape[0]):
+        early += periods[k, 0]
+        prompt += periods[k, 1]
+        late += periods[k, 2]
+    return early, prompt, late
 
 
 class Correction(NamedTuple):
