@@ -40,7 +40,13 @@ PLACING = ("position", "pseudorange")
 """Kinds that say where the vehicle is: refused again and again, the filter is lost."""
 
 FASTEST_STANDSTILL_MPS = 1.0
-"""Speed above which the filter does not believe that it stands, unless that is within its 2σ."""
+"""Speed above which the filter does not believe that it stands, unless that is within its 2σ …"""
+
+SLOW_MPS = 3.0
+"""… and above which it does not in any case: on a smooth road all speeds are quiet."""
+
+TURNING_RADPS = 0.01
+"""Rate above which a vehicle turns, whatever is quiet: far above the Earth's and any bias."""
 
 
 class Vehicle(NamedTuple):
@@ -339,7 +345,7 @@ class Coupling:
         """Quiet sensors up to an instant, and a speed that agrees."""
         row = int(np.searchsorted(self.block.time_s, time_s - SAME_INSTANT_S))
         quiet = self.stood is not None and row < self.stood.size and bool(self.stood[row])
-        return quiet and self._slow()
+        return quiet and self._slow() and not self._turns(row)
 
     def _stands(self, instant: Instant) -> bool:
         """Quiet sensors, or wheels at rest, and a speed that agrees."""
@@ -349,8 +355,17 @@ class Coupling:
     def _slow(self) -> bool:
         estimate = self._navigator.estimate
         sigma2 = np.trace(estimate.P[VELOCITY, VELOCITY])
-        limit_mps = max(FASTEST_STANDSTILL_MPS, 2.0 * np.sqrt(sigma2))
+        limit_mps = min(max(FASTEST_STANDSTILL_MPS, 2.0 * np.sqrt(sigma2)), SLOW_MPS)
         return bool(np.linalg.norm(estimate.ins.v_n_mps) < limit_mps)
+
+    def _turns(self, row: int) -> bool:
+        """Whether the gyros show a turn in the second up to an increment: a steady one is quiet."""
+        block = self.block
+        first = int(np.searchsorted(block.time_s, block.time_s[row] - 1.0))
+        passed_s = float(block.dt_s[first : row + 1].sum())
+        rate = block.dtheta_b_rad[first : row + 1].sum(axis=0) / passed_s
+        turning = rate - self._navigator.estimate.ins.gyro_bias_radps
+        return bool(np.linalg.norm(turning) > TURNING_RADPS)
 
 
 def _instants(

@@ -28,6 +28,7 @@ class Interval(NamedTuple):
     correction: Correction = NO_CORRECTION  # what the interval's correlations said of it …
     middle_s: float = 0.0  # … at its middle, s after the command
     coasting: bool = False  # in open loop, by aiding
+    frequency_valid: bool = True  # the loop's own, no longer the prediction's
 
 
 def turned(command: NcoCommand, cycles: float, chips: float) -> NcoCommand:

@@ -7,6 +7,7 @@ oscillator of f·n/rate cycles at sample n, f·t_transmit = carrier_cycles + f·
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from deepgnss.core.constants import SECONDS_PER_WEEK, SPEED_OF_LIGHT_MPS
@@ -92,7 +93,9 @@ def observe(
             carrier_cycles=phase + ambiguity + (interval.half_cycle or 0.0),
             # The clock model's drift is per second of the sample counter, Doppler per GPST's.
             doppler_hz=(carrier.frequency + frequency_hz * clock.drift_sps)
-            / (1.0 - clock.drift_sps),
+            / (1.0 - clock.drift_sps)
+            if interval.frequency_valid
+            else math.nan,
             cn0_dbhz=interval.cn0_dbhz,
             lock_time_s=(instant.sample - interval.phase_since) / rate_hz if valid else 0.0,
             slip=interval.slips != memory.slips,

@@ -14,8 +14,8 @@ from deepgnss.ins.integration import Settings, integrate
 from deepgnss.ins.standstill import StandstillLimits, standing, standstill_limits
 from deepgnss.ins.updates import counts
 from deepgnss.sim.imu.increments import increments
-from deepgnss.sim.motion.attitude import Steady
-from deepgnss.sim.motion.paths import Line
+from deepgnss.sim.motion.attitude import EllipseAttitude, Steady
+from deepgnss.sim.motion.paths import Ellipse, Line
 from deepgnss.sim.motion.profile import smooth_profile
 from deepgnss.sim.motion.vehicle import Vehicle
 
@@ -121,3 +121,21 @@ def test_wheels_at_rest_are_believed_at_once() -> None:
     assert times
     assert STOP_S[0] <= min(times) < STOP_S[0] + 0.5
     assert max(times) <= STOP_S[1]
+
+
+@pytest.mark.parametrize(("radius_m", "speed_mps"), [(10.0, 2.5), (2000.0, 12.0)])
+def test_neither_a_steady_turn_nor_a_cruise_is_rest(radius_m: float, speed_mps: float) -> None:
+    """On a smooth road both are as quiet, and after a long outage any speed is likely."""
+    rate = speed_mps / radius_m
+    path = Ellipse(radius_m, radius_m, smooth_profile([(0.0, rate), (100.0, rate)]))
+    vehicle = Vehicle(0.53, 1.99, 30.0, path, EllipseAttitude(path, 0.2))
+    blocks = increments(vehicle, START, RATE_HZ, round(60.0 * RATE_HZ), highest_hz=1.0)
+    truth = Drive(vehicle, joined(*blocks))
+    block, errors = sensed(truth, MTI_G, 4)
+    start = started(truth, MTI_G, errors, Layout(15), np.random.default_rng(4))
+    limits = standstill_limits(MTI_G, RATE_HZ)
+    run = integrate(
+        block, [], lambda _: start, process_noise(MTI_G), Settings(LEVER_B_M, standstill=limits)
+    )
+    assert np.mean(standing(block, limits)[200:]) > 0.9  # quiet it is
+    assert "zero velocity" not in counts(run.innovations)
