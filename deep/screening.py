@@ -253,7 +253,8 @@ class Screening:
         known = np.linalg.inv(np.linalg.cholesky(self._P))
         A = np.vstack([H / sigma_m[:, np.newaxis], known])
         e = np.append((misfit_m - H @ self._x) / sigma_m, np.zeros(size))
-        e = e - A @ np.linalg.lstsq(A, e, rcond=None)[0]
+        q, _ = np.linalg.qr(A)  # of full rank by what is known
+        e = e - q @ (q.T @ e)
         ones = np.ones(count + size)
         verdict = check_residuals(A, e, ones, _FALSE_ALARM, excludable=count)
         if not verdict.passed:

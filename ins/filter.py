@@ -34,20 +34,33 @@ def correct(
     Parameters: x (n,), P (n, n), z (m,), H (m, n), R (m, m). Raises NumericalError when the
     innovation's covariance is not positive or anything is not finite.
     """
-    innovation = z - H @ x
-    PHt = P @ H.T
-    S = H @ PHt + R
-    if not (np.all(np.isfinite(innovation)) and np.all(np.isfinite(S))):
-        raise NumericalError("innovation or its covariance is not finite")
-    try:
-        factor = cho_factor(S, lower=True, check_finite=False)
-    except LinAlgError as error:
-        raise NumericalError(f"innovation covariance is not positive: {error}") from error
+    innovation, PHt = z - H @ x, P @ H.T
+    factor = _factor(innovation, H @ PHt + R)
     nis = float(innovation @ cho_solve(factor, innovation, check_finite=False))
     K = cho_solve(factor, PHt.T, check_finite=False).T
     remaining = np.eye(x.size) - K @ H
     after = remaining @ P @ remaining.T + K @ R @ K.T
     return Correction(x + K @ innovation, 0.5 * (after + after.T), innovation, nis)
+
+
+def squared_innovation(
+    x: FloatArray, P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
+) -> float:
+    """`nis` of a measurement that is not taken in."""
+    innovation = z - H @ x
+    factor = _factor(innovation, H @ P @ H.T + R)
+    return float(innovation @ cho_solve(factor, innovation, check_finite=False))
+
+
+def _factor(innovation: FloatArray, S: FloatArray) -> tuple[FloatArray, bool]:
+    """Cholesky factor of an innovation's covariance."""
+    if not (np.all(np.isfinite(innovation)) and np.all(np.isfinite(S))):
+        raise NumericalError("innovation or its covariance is not finite")
+    try:
+        factor: tuple[FloatArray, bool] = cho_factor(S, lower=True, check_finite=False)
+    except LinAlgError as error:
+        raise NumericalError(f"innovation covariance is not positive: {error}") from error
+    return factor
 
 
 @lru_cache(maxsize=64)

@@ -12,7 +12,7 @@ from deepgnss.core.records import FloatArray
 from deepgnss.core.time import GpsTime
 from deepgnss.ins.error_model import VELOCITY
 from deepgnss.ins.error_state import Estimate, turned_along
-from deepgnss.ins.filter import check_covariance, correct, innovation_limit
+from deepgnss.ins.filter import check_covariance, correct, innovation_limit, squared_innovation
 from deepgnss.ins.measurements import Measurement
 
 
@@ -53,7 +53,9 @@ def updated(estimate: Estimate, measurements: Iterable[Measurement], false_alarm
     innovations = []
     for kind, z, H, R, in_body, together in measurements:
         correction = correct(x, P, z, H, R)
-        nis = correction.nis if together == 1.0 else correct(x, P, z, H, R / together).nis
+        nis = correction.nis
+        if together != 1.0:
+            nis = squared_innovation(x, P, z, H, R / together)
         accepted = nis <= innovation_limit(z.size, false_alarm)
         if accepted:
             if in_body:
