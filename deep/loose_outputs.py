@@ -11,6 +11,7 @@ import numpy as np
 import pymap3d
 
 from deepgnss.core.attitude import euler_rad
+from deepgnss.core.frames import geodetic
 from deepgnss.core.records import FloatArray
 from deepgnss.deep.loose import Epochs, LooseRun
 from deepgnss.deep.navigation import NavigationState
@@ -61,7 +62,8 @@ def write_state(table: TrajectoryTable, state: NavigationState) -> None:
     """Append the navigation of a receiver's tag."""
     ins, P = state.estimate.ins, state.estimate.P
     degrees = float(np.degrees(1.0))
-    antenna = np.array(pymap3d.ecef2geodetic(*state.antenna_r_e_m))
+    lat_rad, lon_rad, height_m = geodetic(state.antenna_r_e_m)
+    antenna = np.array([lat_rad * degrees, lon_rad * degrees, height_m])
     imu = np.array([ins.lat_rad * degrees, ins.lon_rad * degrees, ins.height_m])
     euler_deg = euler_rad(ins.q_nb) * degrees
     euler_deg[2] %= 360.0
