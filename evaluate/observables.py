@@ -86,6 +86,7 @@ def _by_satellite(ranges: pd.DataFrame, week: int) -> _Truth:
 
 
 def week_seconds(frame: pd.DataFrame, week: int) -> FloatArray:
+    """Seconds of the rows' time tags since the start of a GPS week."""
     weeks = frame["week"].to_numpy(dtype=np.int64) - week
     seconds: FloatArray = weeks * float(SECONDS_PER_WEEK) + frame["tow_s"].to_numpy(np.float64)
     return seconds
