@@ -130,7 +130,8 @@ def _constants(satellite: str) -> tuple[float, ...]:
 def _table(ephemerides: Sequence[Ephemeris]) -> NDArray[np.void]:
     """One record of numbers for each of one or more ephemerides."""
     rows = [_elements(e) + _constants(e.satellite) for e in ephemerides]
-    return np.array(rows, dtype=np.float64).view(_COLUMNS)[:, 0]
+    columns = np.array(rows, dtype=np.float64).view(_COLUMNS)[:, 0]
+    return columns.view(np.recarray)  # whose fields are attributes without a compiler as well
 
 
 def satellite_states(
@@ -345,7 +346,7 @@ def predict(
 
     Parameters: antenna position (3,) and velocity (3,) at `time`.
     """
-    table = _table(ephemerides) if ephemerides else np.zeros(0, _COLUMNS)
+    table = _table(ephemerides) if ephemerides else np.zeros(0, _COLUMNS).view(np.recarray)
     *sight, moving_e_mps, clock_s, drift_sps = _predicted(
         table, time.week, time.tow_s, r_e_m, v_e_mps
     )
