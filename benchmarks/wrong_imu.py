@@ -133,6 +133,7 @@ class Figures(NamedTuple):
     phase_mm: float  # of the five highest, against truth
     aided_s: float
     warnings: tuple[str, ...]
+    errors_m: pd.Series  # horizontal, by ms of week
 
     def row(self) -> list[str]:
         """Cells of the table."""
@@ -197,6 +198,7 @@ def figures(drive: Path) -> Figures:
         phase_mm,
         inertial.get("trusted_s", 0.0),
         tuple(inertial.get("warnings", ())),
+        pd.Series(errors_m, (valid["tow_s"] * 1e3).round().astype(int)),
     )
 
 

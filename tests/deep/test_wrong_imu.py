@@ -39,12 +39,16 @@ def test_wrong_logs_cost_nothing_and_are_named(bench: ModuleType, drive: Path) -
     }
     for name, words in named.items():
         run = bench.processed(drive, bench.LOGS[name], SECONDS)
-        print(name, run)
+        print(name, run.row())
         assert len(run.warnings) == (1 if words else 0), name
         assert words in " ".join(run.warnings), name
         assert run.fixed >= alone.fixed - 0.01, name
-        assert run.rms_m <= 1.1 * alone.rms_m + 0.05, name
-        assert run.percentile95_m <= 1.1 * alone.percentile95_m + 0.1, name
+        # Where both have positions, T 6.5.1: at a tunnel's mouths either has some the other lacks.
+        both = run.errors_m.index.intersection(alone.errors_m.index)
+        now_m, before_m = run.errors_m[both], alone.errors_m[both]
+        assert len(both) > 0.95 * len(alone.errors_m), name
+        assert (now_m**2).mean() ** 0.5 <= 1.1 * (before_m**2).mean() ** 0.5 + 0.05, name
+        assert now_m.quantile(0.95) <= 1.1 * before_m.quantile(0.95) + 0.1, name
         assert run.lost <= alone.lost, name
         assert run.arcs <= alone.arcs, name
         assert run.phase_mm <= 1.1 * alone.phase_mm, name
