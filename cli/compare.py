@@ -24,6 +24,7 @@ from deepgnss.evaluate.comparison import (
 )
 from deepgnss.evaluate.comparison_outputs import FILES, write_comparison
 from deepgnss.evaluate.double_differences import usual_sigma
+from deepgnss.evaluate.metrics import GROSS_M
 from deepgnss.evaluate.observations import read_observations
 from deepgnss.evaluate.sources import Source, read_source
 from deepgnss.io.folder import prepare_folder
@@ -74,7 +75,7 @@ _TruthKind = Literal["csv", "rtklib_pos", "kfgins_nav"]
 @click.option(
     "--gross",
     type=click.FloatRange(0.0),
-    default=3.0,
+    default=GROSS_M,
     show_default=True,
     help="m, horizontal error counted as gross.",
 )

@@ -20,6 +20,7 @@ from deepgnss.evaluate.double_differences import (
     satellite_table,
 )
 from deepgnss.evaluate.geometry import between, modelled_errors
+from deepgnss.evaluate.metrics import GROSS_M
 from deepgnss.evaluate.positions import (
     Figures,
     Instants,
@@ -65,7 +66,7 @@ class Yardstick:
     nav: NavData = field(default_factory=NavData)
     interval_s: float = 1.0
     elevation_mask_deg: float = 10.0
-    gross_m: float = 3.0
+    gross_m: float = GROSS_M
     sections: tuple[Section, ...] = ()
 
 

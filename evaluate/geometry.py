@@ -15,8 +15,7 @@ import pandas as pd
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import FloatArray, NavData
 from deepgnss.core.time import GpsTime
-from deepgnss.evaluate.observables import phase_arcs, week_seconds
-from deepgnss.evaluate.observations import wavelengths_m
+from deepgnss.evaluate.observables import error_table, week_seconds
 from deepgnss.io.truth import Trajectory
 from deepgnss.receiver import orbits
 
@@ -52,25 +51,7 @@ def modelled_errors(
         found = _epoch(rows, time, antenna, nav)
         if found is not None:
             range_m[place], elevation_rad[place], clock_s[place] = found
-    clock_m = clock_s * SPEED_OF_LIGHT_MPS
-    carrier_m = frame["carrier_cycles"] * wavelengths_m(frame["satellite"])
-    errors = pd.DataFrame(
-        {
-            "week": frame["week"],
-            "tow_s": frame["tow_s"],
-            "time_ms": (frame["_s"] * 1e3).round().astype(np.int64),
-            "satellite": frame["satellite"],
-            "elevation_deg": np.degrees(elevation_rad),
-            "cn0_dbhz": frame["cn0_dbhz"],
-            "code_m": frame["pseudorange_m"] - range_m - clock_m,
-            "phase_m": carrier_m - range_m - clock_m,
-            "arc": phase_arcs(frame, frame["carrier_cycles"].notna()),
-            "clock_s": clock_s,
-        }
-    )
-    return errors.dropna(subset=["code_m"]).sort_values(
-        ["time_ms", "satellite"], kind="stable", ignore_index=True
-    )
+    return error_table(frame, range_m, range_m, np.degrees(elevation_rad), clock_s)
 
 
 _COLUMNS: Final = (

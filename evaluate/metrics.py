@@ -12,9 +12,9 @@ from typing import Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from deepgnss.core.constants import SECONDS_PER_WEEK
 from deepgnss.core.errors import InputFileError
 from deepgnss.core.records import FloatArray
+from deepgnss.evaluate.observables import week_seconds
 from deepgnss.io.input import reading
 
 GROSS_M: Final = 3.0
@@ -162,7 +162,7 @@ def _timed(frame: pd.DataFrame, week: int | None = None) -> pd.DataFrame:
     if not len(frame):
         return frame.assign(s=np.zeros(0))
     first = int(frame["week"].iloc[0]) if week is None else week
-    return frame.assign(s=(frame["week"] - first) * SECONDS_PER_WEEK + frame["tow_s"])
+    return frame.assign(s=week_seconds(frame, first))
 
 
 def _table(path: Path) -> pd.DataFrame:

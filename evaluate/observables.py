@@ -56,24 +56,43 @@ def range_errors(observed: pd.DataFrame, ranges: pd.DataFrame) -> pd.DataFrame:
     for _ in range(_ROUNDS):
         late_m = frame["pseudorange_m"] - _true(frame, truth, "range_m", clock_s)
         clock_s = late_m.groupby(frame["_s"]).transform("median").to_numpy() / SPEED_OF_LIGHT_MPS
+    return error_table(
+        frame,
+        _true(frame, truth, "range_m", clock_s),
+        _true(frame, truth, "phase_m", clock_s),
+        _true(frame, truth, "elevation_deg", clock_s),
+        clock_s,
+    )
+
+
+def error_table(
+    frame: pd.DataFrame,
+    range_m: FloatArray,
+    phase_m: FloatArray,
+    elevation_deg: FloatArray,
+    clock_s: FloatArray,
+) -> pd.DataFrame:
+    """Observations less what they should be, the clock's error taken off, as of `range_errors`.
+
+    frame: observations by satellite and time, with their `week_seconds` as `_s`.
+    """
     clock_m = clock_s * SPEED_OF_LIGHT_MPS
     carrier_m = frame["carrier_cycles"] * wavelengths_m(frame["satellite"])
-    phase_m = carrier_m - _true(frame, truth, "phase_m", clock_s) - clock_m
-    result = pd.DataFrame(
+    errors = pd.DataFrame(
         {
             "week": frame["week"],
             "tow_s": frame["tow_s"],
             "time_ms": (frame["_s"] * 1e3).round().astype(np.int64),
             "satellite": frame["satellite"],
-            "elevation_deg": _true(frame, truth, "elevation_deg", clock_s),
+            "elevation_deg": elevation_deg,
             "cn0_dbhz": frame["cn0_dbhz"],
-            "code_m": frame["pseudorange_m"] - _true(frame, truth, "range_m", clock_s) - clock_m,
-            "phase_m": phase_m,
+            "code_m": frame["pseudorange_m"] - range_m - clock_m,
+            "phase_m": carrier_m - phase_m - clock_m,
             "arc": phase_arcs(frame, frame["carrier_cycles"].notna()),
             "clock_s": clock_s,
         }
     )
-    return result.dropna(subset=["code_m"]).sort_values(
+    return errors.dropna(subset=["code_m"]).sort_values(
         ["time_ms", "satellite"], kind="stable", ignore_index=True
     )
 
