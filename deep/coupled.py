@@ -37,6 +37,7 @@ from deepgnss.ins.sanity import findings
 from deepgnss.ins.updates import Innovation
 from deepgnss.io.config import Config
 from deepgnss.io.imu import ImuLog, read_odometer
+from deepgnss.receiver.carrier_loops import carrier_loop
 from deepgnss.receiver.clock import NS, ReceiverClock, to_ns
 from deepgnss.receiver.modes import Coast
 from deepgnss.receiver.receiver import Fix, Receiver, Screen, StepResult
@@ -248,9 +249,8 @@ def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNaviga
     )
     notes = (*log.faults, *(f"{log.path}: {line}" for line in found), *faults)
     aider = Aider(plan.settings.pvt, settings.lever_b_m)
-    tracking = plan.settings.tracking
-    loop = Loop(tracking.carrier_bandwidth_hz, tracking.coherent_s)
-    bridge = Bridge(config.oscillator.oscillator(), loop)
+    carrier = carrier_loop(plan.settings.tracking.carrier).settled
+    bridge = Bridge(config.oscillator.oscillator(), Loop(carrier.bandwidth_hz, carrier.interval_s))
     outliers, screening = config.positioning.outliers, None
     if outliers.enabled:
         own = ScreenSettings(outliers.alpha, outliers.threshold)
@@ -261,8 +261,5 @@ def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNaviga
         inputs.alignment.mounting_yaw_rad,
         None if imu.time_offset == "auto" else imu.time_offset,
     )
-    carrier = CarrierLoop(
-        tracking.carrier_order, tracking.carrier_bandwidth_hz, tracking.coherent_s
-    )
-    guard = Guard(unit, carrier)
+    guard = Guard(unit, CarrierLoop(*carrier))
     return CoupledNavigation(Navigation(inputs), aider, bridge, guard, screening, notes)

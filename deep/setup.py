@@ -17,7 +17,7 @@ from deepgnss.io.config import Config
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.receiver.acquisition import AcquisitionSettings
 from deepgnss.receiver.clock import NS
-from deepgnss.receiver.modes import FrequencySettings, TrackingSettings
+from deepgnss.receiver.modes import CarrierSettings, FrequencySettings, TrackingSettings
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.receiver import Knowledge, ReceiverSettings
 from deepgnss.receiver.search import SearchSettings
@@ -128,9 +128,12 @@ def receiver_settings(config: Config) -> ReceiverSettings:
     frequency = tracking.frequency
     return ReceiverSettings(
         tracking=TrackingSettings(
-            carrier_order=int(tracking.carrier.loop[-1]),
-            carrier_bandwidth_hz=tracking.carrier.bandwidth,
-            coherent_s=tracking.carrier.coherent,
+            carrier=CarrierSettings(
+                loop=tracking.carrier.loop,
+                bandwidth_hz=tracking.carrier.bandwidth,
+                coherent_s=tracking.carrier.coherent,
+                oscillator=config.oscillator.oscillator(),
+            ),
             code_order=tracking.code.order,
             code_bandwidths_hz=tuple(tracking.code.bandwidth),
             spacing_chips=tracking.code.spacing,

@@ -22,6 +22,7 @@ from deepgnss.core.records import (
     RunningSums,
 )
 from deepgnss.receiver.baseband import Correlator, correlate
+from deepgnss.receiver.carrier_loops import carrier_loop
 from deepgnss.receiver.code_loop import CodeLoop
 from deepgnss.receiver.decisions import Go, Locked, Shift, decide
 from deepgnss.receiver.frequency_tracking import (
@@ -54,6 +55,7 @@ from deepgnss.receiver.modes import (
     unaided,
 )
 from deepgnss.receiver.open_loop import OpenLoop
+from deepgnss.receiver.phase_loops import PhaseTracking
 from deepgnss.receiver.signals import Signal, code_runs, neighbour_correlation
 from deepgnss.receiver.sync import decided_signs
 from deepgnss.receiver.trackers import (
@@ -61,7 +63,6 @@ from deepgnss.receiver.trackers import (
     Accumulated,
     FrequencyLock,
     NcoState,
-    PhaseLock,
     Tracker,
     accumulate,
     advance,
@@ -75,10 +76,10 @@ _PULLED_IN = 5.0  # over a phase loop's bandwidth: when its frequency is one
 _HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
 
 
-def _coherent_periods(signal: Signal, coherent_s: float) -> int:
+def _interval_periods(signal: Signal, interval_s: float) -> int:
     """Periods of an interval of a phase loop: a part of a symbol, or whole ones."""
     symbol = signal.symbol_periods
-    periods = min(round(coherent_s / signal.period_s), signal.update_periods)
+    periods = round(interval_s / signal.period_s)
     return periods if periods < symbol else periods // symbol * symbol
 
 
@@ -126,11 +127,13 @@ class Channel:
         self._sample_chips = signal.id.chip_rate_hz / sample_rate_hz
         self._length = float(signal.id.code_chips)
         self._margin = 4 + int(2.0 * settings.spacing_chips / self._sample_chips)
-        self._history = int(_HISTORY_UPDATES * signal.update_s * sample_rate_hz)
+        self._phase = PhaseTracking(carrier_loop(settings.carrier))
+        self._phase_periods = _interval_periods(signal, self._phase.settled.interval_s)
+        longest = max(signal.update_periods, self._phase_periods)
+        self._history = int(_HISTORY_UPDATES * longest * signal.period_s * sample_rate_hz)
         self._coded = bool(signal.secondary_code)
-        symbols = signal.update_periods // signal.symbol_periods
+        symbols = longest // signal.symbol_periods
         self._secondary = np.tile(signal.secondary, 1 + symbols)[:, np.newaxis]
-        self._coherent_periods = _coherent_periods(signal, settings.coherent_s)
         self._hearing = Hearing(signal)
         self.windows = Windows(signal, settings)
         self._pieces: list[ComplexArray] = []  # of a symbol the lock detectors wait for
@@ -146,7 +149,6 @@ class Channel:
             Mode.FREQUENCY: FrequencyLock(
                 settings.frequency_bandwidth_hz, signal.symbol_periods // 4
             ),
-            Mode.PHASE: PhaseLock(settings.carrier_order, settings.carrier_bandwidth_hz),
         }
         self._spectral_tracker = spectral_lock(settings.frequency)
         self._always_squares = always_squares(settings.frequency.discriminator)
@@ -262,7 +264,8 @@ class Channel:
         if self.settings.record_correlations:
             self.recorded.append(Correlations(self.command.sample, period_s, self._taken))
         blind = self._coded and not self._coherent
-        return accumulate(self._stripped(), period_s, self._coherent, blind)
+        cn0_hz = 10.0 ** (0.1 * self.cn0_dbhz)
+        return accumulate(self._stripped(), period_s, self._coherent, blind, cn0_hz)
 
     def _stripped(self) -> ComplexArray:
         """Correlations without the secondary code, and without symbols where there are several."""
@@ -296,7 +299,8 @@ class Channel:
                 )
                 middle_s = end_s - 0.5 * window.seconds
         elif self.mode is not Mode.HOLD and 4 * seen.periods.shape[0] >= self._full:
-            carrier = self._carrier_tracker.correct(seen)
+            phase = self.mode is Mode.PHASE
+            carrier = self._phase.step(seen) if phase else self._carrier_tracker.correct(seen)
             code = self._code_loop.tracker.correct(seen)
         self.history[-1] = self.history[-1]._replace(correction=carrier, middle_s=middle_s)
         before = advance(self._carrier, elapsed_s)
@@ -347,9 +351,8 @@ class Channel:
 
     @property
     def _has_own_rate(self) -> bool:
-        settings = self.settings
-        return (self.mode is Mode.PHASE and settings.carrier_order == 3) or (
-            self.mode is Mode.WEAK and settings.frequency.order == 2
+        return (self.mode is Mode.PHASE and self._phase.has_own_rate) or (
+            self.mode is Mode.WEAK and self.settings.frequency.order == 2
         )
 
     def _command(self, sample: int, code_chips: float) -> NcoCommand:
@@ -369,7 +372,7 @@ class Channel:
     @property
     def _full(self) -> int:
         """Periods of an undivided interval; frequency is seen best over whole symbols."""
-        return self._coherent_periods if self.mode is Mode.PHASE else self.signal.update_periods
+        return self._phase_periods if self.mode is Mode.PHASE else self.signal.update_periods
 
     @property
     def _carrier_tracker(self) -> Tracker:
@@ -407,7 +410,7 @@ class Channel:
         """See what an interval of the loops did beyond what was predicted of it."""
         if not self.aided:
             return
-        pulled_in_s = _PULLED_IN / self.settings.carrier_bandwidth_hz
+        pulled_in_s = _PULLED_IN / self._phase.settled.bandwidth_hz
         self._open.saw(turned_cycles, shifted_chips, self._aiding, elapsed_s)
         if self.mode is Mode.PHASE and self.phase_valid and self.seconds_in_mode > pulled_in_s:
             self._open.learn_phase(turned_cycles, self._aiding, elapsed_s)
@@ -583,6 +586,7 @@ class Channel:
         )
         self.command = self._command(self.command.sample, self.command.code_chips)
         self.locks = restart_phase(self.locks)
+        self._phase.restart()
         self.windows.restart()
         self._open.forget()
         self._since = self.command.sample
@@ -621,6 +625,7 @@ class Channel:
             if self.mode is not Mode.HOLD:
                 self._look_back(self.edge)
             self.locks = restart_phase(self.locks)
+            self._phase.restart()
         else:  # only a phase loop keeps a frequency rate of its own
             self._carrier = self._carrier._replace(rate=self._aiding.rate_hzps)
         self.command = self._command(self.command.sample, self.command.code_chips)
@@ -728,6 +733,7 @@ class Channel:
             i._replace(command=turned(i.command, cycles, chips)) if i.coasting or not code else i
             for i in self.history
         ]
+        self._phase.turn(cycles)
         self._open.move(cycles, chips)
 
     def _restart_symbols(self) -> None:
@@ -771,7 +777,7 @@ class Channel:
     def _carrier_bandwidth_hz(self) -> float:
         settings = self.settings
         if self.mode is Mode.PHASE:
-            return settings.carrier_bandwidth_hz
+            return self._phase.bandwidth_hz
         if self.mode is Mode.WEAK:
             return noise_bandwidth_hz(settings.frequency)
         return settings.frequency_bandwidth_hz

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
+from deepgnss.core.records import Oscillator
+
 
 class Mode(Enum):
     """What a channel is doing."""
@@ -42,13 +44,24 @@ class FrequencySettings:
     phase: bool = False  # take the phase from the peak as well
 
 
+IDEAL_OSCILLATOR = Oscillator("ideal", 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class CarrierSettings:
+    """How the phase is tracked, as the config's `tracking.carrier`."""
+
+    loop: str = "pll3"
+    bandwidth_hz: float = 7.0  # of pll2 and pll3
+    coherent_s: float = 0.02  # of an interval
+    oscillator: Oscillator = IDEAL_OSCILLATOR  # for loops that model it
+
+
 @dataclass(frozen=True, slots=True)
 class TrackingSettings:
     """Parameters of a channel, as the config's `tracking` section."""
 
-    carrier_order: int = 3
-    carrier_bandwidth_hz: float = 7.0
-    coherent_s: float = 0.02  # of a phase-locked interval, at most a symbol
+    carrier: CarrierSettings = CarrierSettings()
     code_order: int = 2
     code_bandwidths_hz: tuple[float, ...] = (3.0, 1.0, 0.1)
     spacing_chips: float = 0.25  # early to late

@@ -2,7 +2,8 @@
 
 A tracker holds parameters only. What a loop remembers (phase, frequency, rate) is the generator's
 own state, `NcoState`; a correction refers to the middle of the interval it was measured on.
-Aiding never passes through here: it is added to the command (see `channel`).
+Aiding never passes through here: it is added to the command (see `channel`). Loops of the phase,
+which may remember more, are in `phase_loops`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ from deepgnss.core.jit import brief_kernel
 from deepgnss.core.loops import loop_gains, settling_time_s
 from deepgnss.core.records import ComplexArray
 from deepgnss.receiver.discriminators import (
-    costas_arctan,
     early_late_slope,
     early_minus_late_envelope,
     frequency_arctan,
@@ -40,15 +40,22 @@ class Accumulated(NamedTuple):
     coherent: bool  # the sums may be used: no symbol edge lies inside
     blind: bool = False  # every code period may have another sign
     noise: float = 0.0  # power of noise in each of the periods, as far as it is to be taken off
+    cn0_hz: float = 0.0  # carrier to noise density of the last second; 0: not known
 
 
 def accumulate(
-    periods: ComplexArray, period_s: float, coherent: bool, blind: bool = False
+    periods: ComplexArray,
+    period_s: float,
+    coherent: bool,
+    blind: bool = False,
+    cn0_hz: float = 0.0,
 ) -> Accumulated:
     """Sums over the code periods (n, taps) of an interval."""
     early, prompt, late = _totals(periods)
     seconds = periods.shape[0] * period_s
-    return Accumulated(periods, early, prompt, late, seconds, period_s, coherent, blind)
+    return Accumulated(
+        periods, early, prompt, late, seconds, period_s, coherent, blind, cn0_hz=cn0_hz
+    )
 
 
 @brief_kernel
@@ -117,26 +124,11 @@ def scheduled_bandwidth_hz(schedule: tuple[float, ...], seconds: float) -> float
 
 
 class Tracker(Protocol):
-    """A strategy of carrier or code tracking."""
+    """A strategy of carrier or code tracking that remembers nothing (see `phase_loops`)."""
 
     def correct(self, seen: Accumulated) -> Correction:
         """Correction of the generator from one interval's correlations."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class PhaseLock:
-    """Costas PLL of order 2 or 3 on the coherent sum."""
-
-    order: int
-    bandwidth_hz: float
-    discriminator: Callable[[complex], float] = costas_arctan
-
-    def correct(self, seen: Accumulated) -> Correction:
-        """Phase, frequency and rate from the phase of the prompt sum."""
-        error = self.discriminator(seen.prompt)
-        gains = loop_gains(self.order, self.bandwidth_hz, seen.seconds)
-        return Correction(gains.phase * error, gains.frequency * error, gains.rate * error)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from deepgnss.core.time import GpsTime
 from deepgnss.deep.consistency import check_nav_date
 from deepgnss.deep.setup import plan_run
 from deepgnss.io.config import Config
-from deepgnss.receiver.modes import FrequencySettings
+from deepgnss.receiver.modes import CarrierSettings, FrequencySettings
 from deepgnss.sim.constellation import nominal_gps
 
 L1_HZ = 1575.42e6
@@ -95,8 +95,9 @@ def test_settings_arrive_where_they_belong() -> None:
         (STREAM,),
     )
     tracking, search, pvt = plan.settings.tracking, plan.settings.acquisition, plan.settings.pvt
-    assert (tracking.carrier_order, tracking.carrier_bandwidth_hz) == (2, 11.0)
-    assert (tracking.coherent_s, tracking.spacing_chips) == (0.010, 0.6)
+    assert tracking.carrier == CarrierSettings("pll2", 11.0, 0.010, tracking.carrier.oscillator)
+    assert tracking.carrier.oscillator.h0_s == 1e-21
+    assert tracking.spacing_chips == 0.6
     assert (tracking.code_order, tracking.code_bandwidths_hz) == (1, (2.5, 0.4))
     assert (tracking.phase_threshold_dbhz, tracking.frequency_threshold_dbhz) == (31.0, 21.0)
     assert tracking.lost_after_s == 4.5

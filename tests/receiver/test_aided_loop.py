@@ -10,14 +10,20 @@ import pytest
 from deepgnss.core.records import RunningSums
 from deepgnss.evaluate.reproduce.correlator_model import RATE_HZ, Model, start
 from deepgnss.receiver.channel import Channel
-from deepgnss.receiver.modes import AidingRate, AidingSource, Mode, TrackingSettings
+from deepgnss.receiver.modes import (
+    AidingRate,
+    AidingSource,
+    CarrierSettings,
+    Mode,
+    TrackingSettings,
+)
 
 START_S = 4.0
 
 
 def locked(model: Model, order: int) -> Channel:
     """A phase lock on a strong signal, aided all along by what truly moves."""
-    channel = start(model, TrackingSettings(carrier_order=order))
+    channel = start(model, TrackingSettings(CarrierSettings(f"pll{order}")))
     go_on(channel, START_S, told(model))
     assert channel.mode is Mode.PHASE
     return channel

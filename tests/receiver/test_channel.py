@@ -21,12 +21,12 @@ from simulated_sky import (
 
 from deepgnss.core.records import FloatArray
 from deepgnss.receiver.interval import Interval
-from deepgnss.receiver.modes import Mode, TrackingSettings
+from deepgnss.receiver.modes import CarrierSettings, Mode, TrackingSettings
 from deepgnss.theory.tracking_error import dll_thermal_sigma_chips, pll_thermal_sigma_cycles
 
 BANDWIDTH_HZ, CODE_BANDWIDTH_HZ, SPACING_CHIPS = 7.0, 1.0, 0.25
 SETTINGS = TrackingSettings(
-    carrier_bandwidth_hz=BANDWIDTH_HZ,
+    CarrierSettings(bandwidth_hz=BANDWIDTH_HZ),
     code_bandwidths_hz=(3.0, CODE_BANDWIDTH_HZ),
     spacing_chips=SPACING_CHIPS,
 )
@@ -207,9 +207,7 @@ def test_doppler_is_positive_when_range_shrinks() -> None:
 @pytest.mark.parametrize("order", [2, 3])
 def test_every_coherent_time_and_order_locks(coherent_ms: int, order: int) -> None:
     sky, satellite = shared_sky(), _satellite(44.0)
-    settings = TrackingSettings(
-        carrier_order=order, carrier_bandwidth_hz=15.0, coherent_s=1e-3 * coherent_ms
-    )
+    settings = TrackingSettings(CarrierSettings(f"pll{order}", 15.0, 1e-3 * coherent_ms))
     channel = start_channel(sky, satellite, settings, doppler_error_hz=4.0)
     one = track(sky, [channel], 2.4)[satellite]
     assert [event.what for event in one.events] == ["FLL", "bit sync", "PLL", "phase lock"]
