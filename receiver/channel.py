@@ -22,17 +22,13 @@ from deepgnss.core.records import (
     RunningSums,
 )
 from deepgnss.receiver.baseband import Correlator, correlate
-from deepgnss.receiver.carrier_loops import carrier_loop
+from deepgnss.receiver.carrier_tracking import CarrierTracking
 from deepgnss.receiver.code_loop import CodeLoop
 from deepgnss.receiver.decisions import Go, Locked, Shift, decide
-from deepgnss.receiver.frequency_tracking import (
-    always_squares,
-    noise_bandwidth_hz,
-    spectral_lock,
-)
 from deepgnss.receiver.hearing import Hearing
 from deepgnss.receiver.interval import Interval, led_on, of_arc, turned
 from deepgnss.receiver.known_symbols import KnownSymbols, signs
+from deepgnss.receiver.leading import Leading
 from deepgnss.receiver.locks import (
     FAINT_S,
     NO_LOCK,
@@ -55,15 +51,12 @@ from deepgnss.receiver.modes import (
     unaided,
 )
 from deepgnss.receiver.open_loop import OpenLoop
-from deepgnss.receiver.phase_loops import PhaseTracking
 from deepgnss.receiver.signals import Signal, code_runs, neighbour_correlation
-from deepgnss.receiver.sync import decided_signs
+from deepgnss.receiver.symbol_stream import SymbolStream
 from deepgnss.receiver.trackers import (
     NO_CORRECTION,
     Accumulated,
-    FrequencyLock,
     NcoState,
-    Tracker,
     accumulate,
     advance,
     corrected,
@@ -74,13 +67,6 @@ _FOUND_AGAIN_S = 0.3  # after a gap: twice the time of a frequency loop
 _FAR_OFF_HZ = 10.0  # a signal's return: a frequency loop would take its time
 _PULLED_IN = 5.0  # over a phase loop's bandwidth: when its frequency is one
 _HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
-
-
-def _interval_periods(signal: Signal, interval_s: float) -> int:
-    """Periods of an interval of a phase loop: a part of a symbol, or whole ones."""
-    symbol = signal.symbol_periods
-    periods = round(interval_s / signal.period_s)
-    return periods if periods < symbol else periods // symbol * symbol
 
 
 class Channel:
@@ -111,8 +97,6 @@ class Channel:
         self.mode = Mode.PULL_IN
         self.events: list[Event] = []
         self.recorded: list[Correlations] = []
-        self.symbols = bytearray()  # hard decisions since the last phase lock, 1: negative
-        self.symbols_first = 0  # code period at which symbols[0] starts
         self.anchor: int | None = None  # code period of the satellite's week at period 0
         self.edge: int | None = None  # period of a symbol edge, modulo the symbol's length
         self.half_cycle: float | None = None  # 0 or ½ cycle once the polarity is known
@@ -127,32 +111,17 @@ class Channel:
         self._sample_chips = signal.id.chip_rate_hz / sample_rate_hz
         self._length = float(signal.id.code_chips)
         self._margin = 4 + int(2.0 * settings.spacing_chips / self._sample_chips)
-        self._phase = PhaseTracking(carrier_loop(settings.carrier))
-        self._phase_periods = _interval_periods(signal, self._phase.settled.interval_s)
-        longest = max(signal.update_periods, self._phase_periods)
+        self._carriers = CarrierTracking(signal, settings)
+        longest = self._carriers.longest
         self._history = int(_HISTORY_UPDATES * longest * signal.period_s * sample_rate_hz)
         self._coded = bool(signal.secondary_code)
-        symbols = longest // signal.symbol_periods
-        self._secondary = np.tile(signal.secondary, 1 + symbols)[:, np.newaxis]
+        self._stream = SymbolStream(signal, longest)
         self._hearing = Hearing(signal)
         self.windows = Windows(signal, settings)
-        self._pieces: list[ComplexArray] = []  # of a symbol the lock detectors wait for
-        self._symbol_sum = 0j
-        self._symbol_periods = 0
-        self._aiding = NO_AIDING
-        self._told_by: AidingSource = unaided  # whose word that is
+        self._leading = Leading(sample_rate_hz)
         self._open = OpenLoop(signal, sample_rate_hz, settings.open_loop_phase_sigma_cycles)
         self.unproven = False  # the polarity was carried through an open loop
         self._since = sample  # sample of the last change of mode
-        self._carrier_trackers: dict[Mode, Tracker] = {
-            Mode.PULL_IN: FrequencyLock(settings.pull_in_bandwidth_hz, squared=self._coded),
-            Mode.FREQUENCY: FrequencyLock(
-                settings.frequency_bandwidth_hz, signal.symbol_periods // 4
-            ),
-        }
-        self._spectral_tracker = spectral_lock(settings.frequency)
-        self._always_squares = always_squares(settings.frequency.discriminator)
-        self._blind_tracker = FrequencyLock(settings.frequency_bandwidth_hz, squared=True)
         self._phase_since = sample
         self.phase_valid = False
         self.frequency_error_hz = 0.0
@@ -263,24 +232,11 @@ class Channel:
         period_s = self.signal.period_s
         if self.settings.record_correlations:
             self.recorded.append(Correlations(self.command.sample, period_s, self._taken))
-        blind = self._coded and not self._coherent
+        taps, coherent = self._taken, self._coherent
+        if coherent and self.edge is not None:
+            taps = self._stream.stripped(taps, self.periods, self.edge)
         cn0_hz = 10.0 ** (0.1 * self.cn0_dbhz)
-        return accumulate(self._stripped(), period_s, self._coherent, blind, cn0_hz)
-
-    def _stripped(self) -> ComplexArray:
-        """Correlations without the secondary code, and without symbols where there are several."""
-        if self.edge is None or not self._coherent:
-            return self._taken
-        signal, count = self.signal, self._taken.shape[0]
-        size = signal.symbol_periods
-        if not self._coded and count <= size:
-            return self._taken
-        first = (self.periods - self.edge) % size
-        signs = self._secondary[first : first + count]
-        if count > size:
-            symbols = (self._taken[:, 1] * signs[:, 0]).reshape(-1, size).sum(axis=1)
-            signs = signs * np.repeat(decided_signs(symbols), size)[:, np.newaxis]
-        return np.asarray(self._taken * signs)
+        return accumulate(taps, period_s, coherent, self._coded and not coherent, cn0_hz)
 
     def _steer(
         self, seen: Accumulated, middle_s: float, end_s: float, aiding: AidingSource
@@ -293,14 +249,14 @@ class Channel:
         if self.mode is Mode.WEAK:
             window = self._complete_window(seen)
             if window is not None:
-                carrier = self._spectral_tracker.correct(window)
+                carrier = self._carriers.windowed.correct(window)
                 code = self._code_loop.on_windows.correct(
-                    self._spectral_tracker.straightened(window)
+                    self._carriers.windowed.straightened(window)
                 )
                 middle_s = end_s - 0.5 * window.seconds
         elif self.mode is not Mode.HOLD and 4 * seen.periods.shape[0] >= self._full:
-            phase = self.mode is Mode.PHASE
-            carrier = self._phase.step(seen) if phase else self._carrier_tracker.correct(seen)
+            edge_known = self.edge is not None
+            carrier = self._carriers.correct(self.mode, seen, edge_known=edge_known)
             code = self._code_loop.tracker.correct(seen)
         self.history[-1] = self.history[-1]._replace(correction=carrier, middle_s=middle_s)
         before = advance(self._carrier, elapsed_s)
@@ -311,7 +267,10 @@ class Channel:
             shift_chips + self._code_offset_hz * elapsed_s,
             elapsed_s,
         )
-        self._carrier = self._aided(after, aiding, whole)
+        own_rate = self._carriers.has_own_rate(self.mode)
+        self._carrier = self._leading.lead(
+            after, aiding, command.sample, whole, self.mode, own_rate=own_rate
+        )
         self.frequency_error_hz += 0.3 * (carrier.frequency - self.frequency_error_hz)
         if self._code_loop.narrow(command.sample):  # a wide loop's noisy rate must not live on
             self._code_offset_hz = 0.0
@@ -325,35 +284,6 @@ class Channel:
         )
         self.periods += seen.periods.shape[0]
         self.command = self._command(command.sample + whole, chips)
-
-    def _aided(self, carrier: NcoState, aiding: AidingSource, samples: int) -> NcoState:
-        """Carrier with what the prediction says has changed since the last command.
-
-        A phase loop knows its frequency better than the navigation: it takes what the prediction
-        of now says of both instants. What a fix has corrected in between is news of the
-        navigation, not a motion.
-        """
-        was, aid = self._aiding, aiding(self.command.sample + samples)
-        told_before, self._aiding, self._told_by = self._told_by, aid, aiding
-        if NO_AIDING in (was, aid):  # it begins or ends: a loop with a rate of its own goes on
-            return carrier if self._has_own_rate else carrier._replace(rate=aid.rate_hzps)
-        if self.mode is Mode.PHASE and aiding is not told_before:
-            before = aiding(self.command.sample)
-            was = before if self._has_own_rate else before._replace(rate_hzps=was.rate_hzps)
-        step_hz = aid.frequency_hz - (was.frequency_hz + samples / self._rate * was.rate_hzps)
-        if self.mode is Mode.HOLD:
-            step_hz += aid.clock_hz - was.clock_hz
-        return NcoState(
-            carrier.phase,
-            carrier.frequency + step_hz,
-            carrier.rate + aid.rate_hzps - was.rate_hzps,
-        )
-
-    @property
-    def _has_own_rate(self) -> bool:
-        return (self.mode is Mode.PHASE and self._phase.has_own_rate) or (
-            self.mode is Mode.WEAK and self.settings.frequency.order == 2
-        )
 
     def _command(self, sample: int, code_chips: float) -> NcoCommand:
         carrier, to_code = self._carrier, self.signal.carrier_to_code
@@ -371,14 +301,11 @@ class Channel:
 
     @property
     def _full(self) -> int:
-        """Periods of an undivided interval; frequency is seen best over whole symbols."""
-        return self._phase_periods if self.mode is Mode.PHASE else self.signal.update_periods
+        return self._carriers.periods(self.mode)
 
     @property
-    def _carrier_tracker(self) -> Tracker:
-        if self._coded and self.edge is None and self.mode is not Mode.PULL_IN:
-            return self._blind_tracker
-        return self._carrier_trackers.get(self.mode, self._carrier_trackers[Mode.FREQUENCY])
+    def _aiding(self) -> AidingRate:
+        return self._leading.now
 
     def _seconds_since(self, sample: int) -> float:
         return (self.command.sample - sample) / self._rate
@@ -400,7 +327,7 @@ class Channel:
 
     def _known_signs(self, first: int, count: int) -> FloatArray | None:
         """Signs of symbols from a period of this channel's count on, where they are known."""
-        if self.known is None or self.anchor is None or self._always_squares:
+        if self.known is None or self.anchor is None or self._carriers.always_squares:
             return None
         return signs(self.known, self.anchor + first, count, self.signal.symbol_periods)
 
@@ -410,7 +337,7 @@ class Channel:
         """See what an interval of the loops did beyond what was predicted of it."""
         if not self.aided:
             return
-        pulled_in_s = _PULLED_IN / self._phase.settled.bandwidth_hz
+        pulled_in_s = _PULLED_IN / self._carriers.settled.bandwidth_hz
         self._open.saw(turned_cycles, shifted_chips, self._aiding, elapsed_s)
         if self.mode is Mode.PHASE and self.phase_valid and self.seconds_in_mode > pulled_in_s:
             self._open.learn_phase(turned_cycles, self._aiding, elapsed_s)
@@ -506,7 +433,7 @@ class Channel:
     # --- detect, collect, decide -------------------------------------------------------------
 
     def _detect(self, seen: Accumulated) -> None:
-        symbol = self._whole_symbol(seen)
+        symbol = self._stream.whole(seen, self.periods, self.edge)
         if symbol is not None:
             size = self.signal.symbol_periods
             if self.mode in (Mode.WEAK, Mode.HOLD):  # signs of short symbols are not to be had
@@ -528,17 +455,6 @@ class Channel:
             elif edge is not None:
                 self.set_edge(edge.period, f"{self._hearing.synced_by} symbols")
 
-    def _whole_symbol(self, seen: Accumulated) -> Accumulated | None:
-        """Intervals put together to a symbol for the lock detectors; None while it is not full."""
-        size = self.signal.symbol_periods
-        if self.edge is None or seen.periods.shape[0] >= size:
-            return seen
-        self._pieces.append(seen.periods)
-        if (self.periods - self.edge) % size:
-            return None
-        taps, self._pieces = np.concatenate(self._pieces), []
-        return accumulate(taps, seen.period_s, seen.coherent)
-
     def set_edge(self, period: int, reason: str) -> None:
         """Make known that a symbol starts at a code period of this channel's count."""
         self.edge = period % self.signal.symbol_periods
@@ -549,23 +465,12 @@ class Channel:
     def _look_back(self, edge: int) -> None:
         """Hand the phase of what was heard without phase lock to the phase loop."""
         seen = self._hearing.look_back(edge, self._carrier, self._aiding.rate_hzps)
-        self.symbols, self.symbols_first, self._carrier = seen
-        self._symbol_sum, self._symbol_periods = 0j, 0
+        self._stream.look_back(seen)
+        self._carrier = seen.carrier
 
     def _collect_symbols(self, seen: Accumulated) -> None:
-        if self.mode is not Mode.PHASE or self.edge is None:
-            return
-        size = self.signal.symbol_periods
-        if seen.periods.shape[0] > size:  # none has a secondary code
-            symbols = self._taken[:, 1].reshape(-1, size).sum(axis=1)
-            self.symbols.extend(int(negative) for negative in symbols.real < 0.0)
-            return
-        self._symbol_sum += seen.prompt
-        self._symbol_periods += seen.periods.shape[0]
-        if (self.periods - self.edge) % size == 0:
-            if self._symbol_periods == size:
-                self.symbols.append(int(self._symbol_sum.real < 0.0))
-            self._symbol_sum, self._symbol_periods = 0j, 0
+        if self.mode is Mode.PHASE and self.edge is not None:
+            self._stream.decide(self._taken, seen, self.periods, self.edge)
 
     def _decide(self, seen: Accumulated) -> None:
         match decide(self, seen.period_s):
@@ -586,7 +491,7 @@ class Channel:
         )
         self.command = self._command(self.command.sample, self.command.code_chips)
         self.locks = restart_phase(self.locks)
-        self._phase.restart()
+        self._carriers.restart()
         self.windows.restart()
         self._open.forget()
         self._since = self.command.sample
@@ -625,7 +530,7 @@ class Channel:
             if self.mode is not Mode.HOLD:
                 self._look_back(self.edge)
             self.locks = restart_phase(self.locks)
-            self._phase.restart()
+            self._carriers.restart()
         else:  # only a phase loop keeps a frequency rate of its own
             self._carrier = self._carrier._replace(rate=self._aiding.rate_hzps)
         self.command = self._command(self.command.sample, self.command.code_chips)
@@ -683,7 +588,7 @@ class Channel:
     @property
     def aided(self) -> bool:
         """Whether predictions lead the generators."""
-        return self._aiding != NO_AIDING
+        return self._leading.aided
 
     @property
     def coasting(self) -> bool:
@@ -733,18 +638,25 @@ class Channel:
             i._replace(command=turned(i.command, cycles, chips)) if i.coasting or not code else i
             for i in self.history
         ]
-        self._phase.turn(cycles)
+        self._carriers.turn(cycles)
         self._open.move(cycles, chips)
 
     def _restart_symbols(self) -> None:
         """Begin a new stretch of symbols at the next edge."""
-        if self.edge is None:
-            return
-        self.symbols = bytearray()
-        self.symbols_first = self.periods + (self.edge - self.periods) % self.signal.symbol_periods
-        self._symbol_sum, self._symbol_periods = 0j, 0
+        if self.edge is not None:
+            self._stream.restart(self.periods, self.edge)
 
     # --- what others read --------------------------------------------------------------------
+
+    @property
+    def symbols(self) -> bytearray:
+        """Hard decisions since the last phase lock, 1: negative."""
+        return self._stream.decided
+
+    @property
+    def symbols_first(self) -> int:
+        """Code period at which the first of them starts."""
+        return self._stream.first
 
     def _note(self, what: str, reason: str) -> None:
         self.events.append(Event(self.command.sample, self.satellite, what, reason))
@@ -772,15 +684,6 @@ class Channel:
             if interval.command.sample <= sample:
                 return interval
         return self.history[0]
-
-    @property
-    def _carrier_bandwidth_hz(self) -> float:
-        settings = self.settings
-        if self.mode is Mode.PHASE:
-            return self._phase.bandwidth_hz
-        if self.mode is Mode.WEAK:
-            return noise_bandwidth_hz(settings.frequency)
-        return settings.frequency_bandwidth_hz
 
     @property
     def cn0_dbhz(self) -> float:
@@ -813,6 +716,6 @@ class Channel:
             else 0.0,
             lock_time_s=self._seconds_since(self._phase_since) if self.phase_valid else 0.0,
             coherent_s=self._coherent_s,
-            carrier_bandwidth_hz=self._carrier_bandwidth_hz,
+            carrier_bandwidth_hz=self._carriers.bandwidth_hz(self.mode),
             code_bandwidth_hz=self._code_loop.tracker.bandwidth_hz,
         )

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 from deepgnss.core.loops import loop_gains
 from deepgnss.receiver.discriminators import costas_arctan
@@ -97,35 +97,3 @@ class CostasLoop:
     def bandwidth_hz(self, memory: None) -> float:
         """As asked for."""
         return self.noise_bandwidth_hz
-
-
-class PhaseTracking:
-    """A phase loop at work: its parameters and its memory."""
-
-    def __init__(self, loop: PhaseLoop[Any]) -> None:
-        self._loop = loop
-        self.settled = loop.settled
-        self.restart()
-
-    @property
-    def has_own_rate(self) -> bool:
-        """Whether it follows a steady change of frequency by itself."""
-        return self.settled.order >= 3
-
-    def restart(self) -> None:
-        """Begin anew."""
-        self._memory = self._loop.start()
-
-    def step(self, seen: Accumulated) -> Correction:
-        """Correction at the middle of an interval."""
-        self._memory, correction = self._loop.step(self._memory, seen)
-        return correction
-
-    def turn(self, cycles: float) -> None:
-        """The generator was put forward by a phase."""
-        self._memory = self._loop.turned(self._memory, cycles)
-
-    @property
-    def bandwidth_hz(self) -> float:
-        """One-sided noise bandwidth as it is now."""
-        return self._loop.bandwidth_hz(self._memory)
