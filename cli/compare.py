@@ -26,6 +26,7 @@ from deepgnss.evaluate.comparison_outputs import FILES, write_comparison
 from deepgnss.evaluate.double_differences import usual_sigma
 from deepgnss.evaluate.metrics import GROSS_M
 from deepgnss.evaluate.observations import read_observations
+from deepgnss.evaluate.rtk import MODES, RATIO, RIGHT_M, Fixes
 from deepgnss.evaluate.sources import Source, read_source
 from deepgnss.io.folder import prepare_folder
 from deepgnss.io.rinex_nav import read_nav
@@ -82,6 +83,21 @@ _TruthKind = Literal["csv", "rtklib_pos", "kfgins_nav"]
 @click.option(
     "--sections", type=click.Path(path_type=Path), help="CSV: name, from_tow_s, to_tow_s."
 )
+@click.option("--rtk", is_flag=True, help="RTK through RTKLIB's rnx2rtkp: right and wrong fixes.")
+@click.option(
+    "--rtk-mode",
+    type=click.Choice(MODES),
+    default=MODES[0],
+    show_default=True,
+    help="How RTKLIB resolves ambiguities.",
+)
+@click.option(
+    "--right",
+    type=click.FloatRange(0.0),
+    default=RIGHT_M,
+    show_default=True,
+    help="m, horizontal error up to which a fix is right.",
+)
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), default=Path("compare"), show_default=True
 )
@@ -96,14 +112,17 @@ def compare(
     mask: float,
     gross: float,
     sections: Path | None,
+    rtk: bool,
+    rtk_mode: str,
+    right: float,
     output: Path,
 ) -> None:
     """Compare RUNS (folders of `process`) and logs: positions, code, carrier.
 
     Positions need --truth; double differences of code and carrier need --base (with --truth, or
-    at the same antenna). Everything is on GPST and counted over the instants and satellites that
-    all receivers have. Exit code 0: something could be compared; 1: nothing in common; 2: an input
-    cannot be used.
+    at the same antenna); --rtk needs both. Everything is on GPST and counted over the instants and
+    satellites that all receivers have. Exit code 0: something could be compared; 1: nothing in
+    common; 2: an input cannot be used.
     """
     sources = _named([*runs, *logs])
     if not sources:
@@ -117,6 +136,8 @@ def compare(
         elevation_mask_deg=mask,
         gross_m=gross,
         sections=read_sections(sections) if sections is not None else (),
+        rtk_mode=rtk_mode if rtk else None,
+        right_m=right,
     )
     found = held_against(sources, yardstick)
     prepare_folder(output, FILES)
@@ -163,6 +184,8 @@ def _print(found: Comparison, output: Path) -> None:
         console.print(_observations(name, table))
     if found.clocks:
         console.print(_clocks(found))
+    if found.rtk.shares:
+        console.print(_fixes(found.rtk))
     console.print(f"written: {output}")
 
 
@@ -227,4 +250,21 @@ def _clocks(found: Comparison) -> Table:
         table.add_row(
             name, f"{clock.median_m:+.3f} m", f"{clock.sigma_m:.3f} m", str(clock.differences)
         )
+    return table
+
+
+def _fixes(rtk: Fixes) -> Table:
+    table = Table(title="RTK by RTKLIB", title_justify="left")
+    table.add_column("receiver")
+    for name in ("instants", "right", "wrong", "float", "without", "RMS of the right"):
+        table.add_column(name, justify="right")
+    for name, one in rtk.shares.items():
+        counts = (one.right, one.wrong, one.floating, one.without)
+        table.add_row(
+            name,
+            str(one.epochs),
+            *(f"{count} ({100.0 * count / max(one.epochs, 1):.1f} %)" for count in counts),
+            f"{100.0 * one.right_rms_m:.2f} cm",
+        )
+    table.caption = f"fixed: ratio above {RATIO:g}"
     return table

@@ -30,6 +30,7 @@ from deepgnss.evaluate.positions import (
     grid,
     position_errors,
 )
+from deepgnss.evaluate.rtk import NO_FIXES, RIGHT_M, Base, Fixes, rtk_fixes
 from deepgnss.evaluate.single_point import at_rest, single_point
 from deepgnss.evaluate.sources import Source
 from deepgnss.io.truth import Trajectory
@@ -54,6 +55,7 @@ class Comparison:
     doubled: Mapping[str, pd.DataFrame]  # as of `double_differences`
     clocks: Mapping[str, Clock]  # against the base
     notes: tuple[str, ...] = ()
+    rtk: Fixes = NO_FIXES
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +70,8 @@ class Yardstick:
     elevation_mask_deg: float = 10.0
     gross_m: float = GROSS_M
     sections: tuple[Section, ...] = ()
+    rtk_mode: str | None = None  # one of rtk.MODES; None: no RTK
+    right_m: float = RIGHT_M  # horizontal error of a right fix
 
 
 def compare(sources: Sequence[Source], yardstick: Yardstick) -> Comparison:
@@ -75,11 +79,12 @@ def compare(sources: Sequence[Source], yardstick: Yardstick) -> Comparison:
 
     Receivers without positions of their own get those of our single-point solution.
 
-    Raises InputFileError: there is nothing to compare with.
+    Raises InputFileError: there is nothing to compare with; RTK is asked for and cannot be.
     """
     if yardstick.truth is None and yardstick.base is None:
         raise InputFileError("--truth, --base: found neither; there is nothing to compare with")
     notes: list[str] = []
+    place_e_m = _base_place(yardstick, notes)
     found: dict[str, pd.DataFrame] = {}
     asked = np.zeros(0, np.int64)
     if yardstick.truth is not None:
@@ -87,7 +92,7 @@ def compare(sources: Sequence[Source], yardstick: Yardstick) -> Comparison:
         located = {s.name: s.positions for s in whole if len(s.positions)}
         found = position_errors(located, yardstick.truth, yardstick.interval_s)
         asked = _overlap(found, grid(yardstick.truth, yardstick.interval_s))
-    singles = _singles(sources, yardstick, notes) if yardstick.base is not None else {}
+    singles = _singles(sources, yardstick, place_e_m, notes)
     high = {
         name: table[table["elevation_deg"] >= yardstick.elevation_mask_deg]
         for name, table in singles.items()
@@ -104,6 +109,7 @@ def compare(sources: Sequence[Source], yardstick: Yardstick) -> Comparison:
         doubled,
         {name: _clock(table) for name, table in singles.items()},
         tuple(notes),
+        _rtk(sources, yardstick, place_e_m),
     )
 
 
@@ -127,19 +133,27 @@ def _overlap(found: Mapping[str, pd.DataFrame], asked: Instants) -> Instants:
     return asked
 
 
+def _base_place(yardstick: Yardstick, notes: list[str]) -> FloatArray | None:
+    """Where the base stands, (3,); None without one."""
+    if yardstick.base is None or yardstick.base_r_e_m is not None:
+        return yardstick.base_r_e_m
+    place_e_m = at_rest(single_point(yardstick.base, yardstick.nav))
+    notes.append("base: its file has no position: the median of its own single-point solutions")
+    if place_e_m is None:
+        raise InputFileError("--base: no position in its header, and none found with this NAV file")
+    return place_e_m
+
+
 def _singles(
-    sources: Sequence[Source], yardstick: Yardstick, notes: list[str]
+    sources: Sequence[Source],
+    yardstick: Yardstick,
+    base_r_e_m: FloatArray | None,
+    notes: list[str],
 ) -> dict[str, pd.DataFrame]:
     """Single differences of every receiver with observations against the base."""
     base, nav = yardstick.base, yardstick.nav
-    if base is None:
+    if base is None or base_r_e_m is None:
         return {}
-    base_r_e_m = yardstick.base_r_e_m
-    if base_r_e_m is None:
-        base_r_e_m = at_rest(single_point(base, nav))
-        notes.append("base: its file has no position: the median of its own single-point solutions")
-    if base_r_e_m is None:
-        raise InputFileError("--base: no position in its header, and none found with this NAV file")
     of_base = modelled_errors(base, base_r_e_m, nav)
     singles = {}
     for source in sources:
@@ -150,6 +164,18 @@ def _singles(
     if yardstick.truth is None and singles:
         notes.append("no truth: rovers are taken to be at the base's antenna (zero baseline)")
     return singles
+
+
+def _rtk(sources: Sequence[Source], yardstick: Yardstick, base_r_e_m: FloatArray | None) -> Fixes:
+    """RTK of every receiver with observations."""
+    truth, base, mode = yardstick.truth, yardstick.base, yardstick.rtk_mode
+    if mode is None:
+        return NO_FIXES
+    if truth is None or base is None or base_r_e_m is None or not yardstick.nav.ephemerides:
+        raise InputFileError("--rtk: it needs --truth, --base and broadcast orbits (--nav)")
+    observed = {s.name: s.observations for s in sources if len(s.observations)}
+    given = Base(base, base_r_e_m, yardstick.nav)
+    return rtk_fixes(observed, given, truth, yardstick.interval_s, mode, yardstick.right_m)
 
 
 def _clock(single: pd.DataFrame) -> Clock:

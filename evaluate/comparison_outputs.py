@@ -19,7 +19,8 @@ from deepgnss.io.summary import write_summary
 mpl.use("Agg")
 
 FILES: Final = (
-    *("positions.csv", "errors.csv", "differences.csv", "satellites.csv", "summary.json"),
+    *("positions.csv", "errors.csv", "differences.csv", "satellites.csv", "rtk.csv"),
+    "summary.json",
     *("positions.png", "differences.png"),
 )
 """Names of all files a comparison may write."""
@@ -45,6 +46,9 @@ def write_comparison(found: Comparison, folder: Path) -> None:
         ]
         _write(folder / "satellites.csv", pd.concat(parts))
         _draw_differences(found, folder / "differences.png")
+    if found.rtk.errors:
+        parts = [table.assign(receiver=name) for name, table in found.rtk.errors.items()]
+        _write(folder / "rtk.csv", pd.concat(parts).reset_index())
     summary: dict[str, Any] = {
         "positions": found.positions,
         "sections": found.sections,
@@ -52,6 +56,7 @@ def write_comparison(found: Comparison, folder: Path) -> None:
             name: table.to_dict(orient="index") for name, table in found.observations.items()
         },
         "clocks": found.clocks,
+        "rtk": found.rtk.shares,
         "notes": found.notes,
     }
     write_summary(folder / "summary.json", summary)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -11,7 +12,8 @@ import pandas as pd
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.errors import InputFileError
-from deepgnss.core.records import BDS_B1I, GPS_L1CA, SignalId
+from deepgnss.core.records import BDS_B1I, GPS_L1CA, Epoch, Observation, SampleInstant, SignalId
+from deepgnss.core.time import GpsTime
 from deepgnss.io.input import reading
 from deepgnss.io.rinex_obs_reader import read_obs
 
@@ -23,6 +25,8 @@ OBSERVATION_COLUMNS: Final = (
     *("slip", "half_cycle"),
 )
 """Of `read_observations`: NaN where missing; `slip`, `half_cycle` bool, the bits 0 and 1 of LLI."""
+
+_USUAL_DBHZ: Final = 40.0  # of receivers that do not tell it
 
 RANGE_COLUMNS: Final = ("week", "tow_s", "satellite", "range_m", "phase_m", "elevation_deg")
 """Of `read_ranges`: pseudorange and carrier phase (growing with range) of a perfect receiver."""
@@ -83,6 +87,41 @@ def _from_rinex(frame: pd.DataFrame) -> pd.DataFrame:
     if not parts:
         return pd.DataFrame(columns=list(OBSERVATION_COLUMNS))
     return pd.concat(parts).sort_index(kind="stable").reset_index(drop=True)
+
+
+def epochs(observed: pd.DataFrame) -> Iterator[Epoch]:
+    """Observations as the receiver's own records, epoch by epoch; those without a range left out.
+
+    Parameters: observed: as of `read_observations`.
+    """
+    for _, rows in observed.groupby(["week", "tow_s"], sort=True):
+        time = GpsTime(int(rows["week"].iloc[0]), float(rows["tow_s"].iloc[0]))
+        yield Epoch(time, SampleInstant(0, 0.0), _records(time, rows))
+
+
+def _records(time: GpsTime, rows: pd.DataFrame) -> tuple[Observation, ...]:
+    known = rows[np.isfinite(rows["pseudorange_m"])]
+    ranges_m, cycles, dopplers_hz, cn0_dbhz = (
+        known[name].to_numpy(np.float64)
+        for name in ("pseudorange_m", "carrier_cycles", "doppler_hz", "cn0_dbhz")
+    )
+    slips, halves = (known[name].to_numpy(np.bool_) for name in ("slip", "half_cycle"))
+    return tuple(
+        Observation(
+            satellite=satellite,
+            signal=SIGNAL_OF_SYSTEM[satellite[0]].name,
+            pseudorange_m=float(ranges_m[k]),
+            carrier_cycles=float(cycles[k]),
+            doppler_hz=float(dopplers_hz[k]),
+            cn0_dbhz=float(cn0_dbhz[k]) if cn0_dbhz[k] > 0.0 else _USUAL_DBHZ,
+            lock_time_s=0.0,
+            slip=bool(slips[k]),
+            half_cycle=bool(halves[k]),
+            carrier_valid=math.isfinite(cycles[k]),
+            transmit=time.plus(-float(ranges_m[k]) / SPEED_OF_LIGHT_MPS),
+        )
+        for k, satellite in enumerate(known["satellite"].astype(str))
+    )
 
 
 def read_ranges(path: Path | str) -> pd.DataFrame:
