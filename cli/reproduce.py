@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import time
+import os
 from collections.abc import Sequence
 
 import click
 from rich.console import Console
 from rich.table import Table
 
-from deepgnss.evaluate.reproduce import ROWS, Figure, rows_named, verdict
+from deepgnss.evaluate.reproduce import ROWS, Figure, measured, rows_named, verdict
 
 _MISSED = 1
 
@@ -24,24 +24,27 @@ _MISSED = 1
     show_default=True,
     help="Independent repetitions, seeds 1 to this.",
 )
-def reproduce(only: tuple[str, ...], quick: bool, seeds: int) -> None:
+@click.option(
+    "--jobs",
+    type=click.IntRange(1),
+    default=os.cpu_count() or 1,
+    show_default="number of cores",
+    help="Processes side by side; the figures do not depend on it.",
+)
+def reproduce(only: tuple[str, ...], quick: bool, seeds: int, jobs: int) -> None:
     """Measure the figures of the publications again; exit code 1 when one misses its target."""
     console = Console(highlight=False)
     rows = rows_named(only)
     missed = []
     waiting = [row.id for row in rows if row.measure is None]
-    for row in rows:
-        if row.measure is None:
-            continue
-        with console.status(row.id):
-            began = time.perf_counter()
-            figures = row.measure(quick, range(1, seeds + 1))
-            took_s = time.perf_counter() - began
-        console.print(f"[bold]{row.id}[/]  {row.scenario}  [dim]({took_s:.0f} s)[/]")
-        console.print(f"  published {row.published}; target {row.target}")
-        console.print(_table(figures))
-        if not verdict(figures):
-            missed.append(row.id)
+    with console.status("measuring"):
+        for row, figures, cpu_s in measured(rows, quick, range(1, seeds + 1), jobs):
+            took = f"{cpu_s:.0f}" + (f" of {row.quick_s:.0f}" if quick else "") + " CPU s"
+            console.print(f"[bold]{row.id}[/]  {row.scenario}  [dim]({took})[/]")
+            console.print(f"  published {row.published}; target {row.target}")
+            console.print(_table(figures))
+            if not verdict(figures):
+                missed.append(row.id)
     if waiting:
         console.print(f"not yet ({len(waiting)} of {len(ROWS)}): {', '.join(waiting)}", style="dim")
     if missed:

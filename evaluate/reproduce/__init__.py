@@ -6,5 +6,16 @@ its own here and name it in the row of `rows.ROWS`.
 
 from deepgnss.evaluate.reproduce.rows import ROWS, rows_named
 from deepgnss.evaluate.reproduce.table import Figure, Measure, Row, percent, verdict
+from deepgnss.evaluate.reproduce.together import Measured, measured
 
-__all__ = ["ROWS", "Figure", "Measure", "Row", "percent", "rows_named", "verdict"]
+__all__ = [
+    "ROWS",
+    "Figure",
+    "Measure",
+    "Measured",
+    "Row",
+    "measured",
+    "percent",
+    "rows_named",
+    "verdict",
+]

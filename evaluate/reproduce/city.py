@@ -1,4 +1,4 @@
-"""CITY-PR, CITY-EXIT: a drive through a city, with and without aiding, T 6.6.
+"""CITY-PR, CITY-RTK, CITY-EXIT: a drive through a city, with and without aiding, T 6.6.
 
 Ranges are corrected by those of a base station, satellite by satellite; positions come from the
 receiver's own adjustment, epoch by epoch, of the ranges it has not refused. No filter smooths them.
@@ -27,8 +27,10 @@ from deepgnss.core.records import (
 )
 from deepgnss.core.time import GpsTime
 from deepgnss.evaluate.metrics import GROSS_M
+from deepgnss.evaluate.reproduce.city_rtk import added, counted
 from deepgnss.evaluate.reproduce.table import Figure
 from deepgnss.evaluate.reproduce.whole_receiver import Recording, recorded, started
+from deepgnss.evaluate.rtk import Shares
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.io.rinex_obs_reader import read_obs
 from deepgnss.receiver import pvt
@@ -45,6 +47,7 @@ PLAIN, FULL, *AIDED = RUNS
 RATIOS: Final = (3.61 / 0.80, 1.50 / 0.93, 0.89 / 0.69, 9.25 / 2.90)  # σ N, σ E, CEP, gross
 FIXED: Final = 0.995
 EXIT_S: Final = 1.0
+RTK_GAIN: Final = 1.3  # right fixes over those of the unaided run
 
 _SETTINGS: Final = (
     "output.interval=0.1",
@@ -63,6 +66,7 @@ class Drive(NamedTuple):
 
     unblocked: pd.Series  # satellites above the mask in sight, by tag
     runs: dict[str, pd.DataFrame]  # index tag: own fix, north_m, east_m of the differential one
+    rtk: Mapping[str, Shares | None] = {}  # None: RTKLIB is not installed
 
 
 @cache
@@ -79,11 +83,12 @@ def drive(seed: int, quick: bool) -> Drive:
         seen = seen[(seen["visible"] == 1) & (seen["el_deg"] >= mask_deg)]
         unblocked = seen.groupby(_tags(seen["tow"]))["satellite"].nunique()
         unblocked = unblocked.reindex(truth.index, fill_value=0)
-        runs = {
-            name: _table(_fixes(recording, own), nav, corrections, truth, raim=name != PLAIN)
-            for name, own in RUNS.items()
-        }
-    return Drive(unblocked, runs)
+        runs, rtk = {}, {}
+        for name, own in RUNS.items():
+            fixes = _fixes(recording, own)
+            runs[name] = _table(fixes, nav, corrections, truth, raim=name != PLAIN)
+            rtk[name] = counted(recording.folder, fixes, 1.0 / _TAGS_HZ)
+    return Drive(unblocked, runs, rtk)
 
 
 def _tags(tow_s: pd.Series) -> pd.Series:
@@ -287,4 +292,25 @@ def measure_exit(quick: bool, seeds: Sequence[int]) -> list[Figure]:
                 met,
             )
         )
+    return figures
+
+
+def measure_rtk(quick: bool, seeds: Sequence[int]) -> list[Figure]:
+    """CITY-RTK; quick: the first tunnel and canyon of one seed."""
+    drives = [drive(seed, quick) for seed in (seeds[:1] if quick else seeds)]
+    parts = {name: [one.rtk.get(name) for one in drives] for name in (FULL, *AIDED)}
+    found = {
+        name: added([one for one in own if one is not None])
+        for name, own in parts.items()
+        if None not in own
+    }
+    if not found:
+        return [Figure("RTKLIB", "not installed (Debian, Ubuntu: apt install rtklib)", None)]
+    alone = found[FULL].right
+    figures = []
+    for name, own in found.items():
+        ratio = own.right / alone if alone else np.inf
+        of = f"right {own.right} of {own.right + own.wrong} fixes, {own.epochs} tags"
+        met = None if name == FULL or quick else ratio >= RTK_GAIN
+        figures.append(Figure(name, of if name == FULL else f"{of}; {ratio:.2f} × unaided", met))
     return figures

@@ -15,6 +15,9 @@ class Figure(NamedTuple):
     met: bool | None  # None: shown for comparison, not judged
 
 
+QUICK_S = 300.0
+"""What the quick version of the whole table may take, on two cores."""
+
 Measure = Callable[[bool, Sequence[int]], list[Figure]]
 """(quick, seeds) → figures; `quick` is a version that a test run can afford."""
 
@@ -28,6 +31,13 @@ class Row:
     published: str
     target: str
     measure: Measure | None = None  # None: not yet
+    quick_s: float = 10.0  # CPU time that its quick version may take
+    alone: bool = False  # it measures the machine: nothing else may run
+
+    @property
+    def module(self) -> str:
+        """Where it is measured: rows of one module may share recordings."""
+        return self.measure.__module__ if self.measure is not None else ""
 
 
 def verdict(figures: Sequence[Figure]) -> bool:

@@ -9,7 +9,9 @@ import pytest
 from deepgnss.core.records import Epoch, SampleInstant
 from deepgnss.core.time import GpsTime
 from deepgnss.evaluate.reproduce import city
+from deepgnss.evaluate.reproduce.city_rtk import added
 from deepgnss.evaluate.reproduce.whole_receiver import recorded
+from deepgnss.evaluate.rtk import Shares
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.io.rinex_obs_reader import read_obs
 from deepgnss.receiver import pvt
@@ -88,3 +90,31 @@ def test_the_verdict_needs_every_ratio_every_column_and_the_share_of_fixes() -> 
     ):
         assert not city._judged(worse, plain, full)[1]
     assert not city._judged(good, plain, full._replace(cep_m=0.6))[1]
+
+
+def test_right_fixes_of_all_seeds_are_held_against_the_unaided_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """13 of 10 is just enough; where RTKLIB is not there nothing is judged."""
+    none = pd.Series(dtype=int)
+    alone, aided = Shares(50, 5, 1, 4, 40, 0.02), Shares(50, 6, 0, 4, 40, 0.01)
+    rtk = {city.FULL: alone, city.AIDED[0]: aided, city.AIDED[1]: aided._replace(right=7)}
+    first = city.Drive(none, {}, rtk)
+    second = city.Drive(none, {}, {**rtk, city.AIDED[0]: aided._replace(right=7)})
+    monkeypatch.setattr(city, "drive", lambda seed, quick: [first, second][seed - 1])
+    figures = city.measure_rtk(False, [1, 2])
+    assert [figure.met for figure in figures] == [None, True, True]
+    assert figures[0].ours == "right 10 of 12 fixes, 100 tags"
+    assert figures[1].ours == "right 13 of 13 fixes, 100 tags; 1.30 × unaided"
+    assert [figure.met for figure in city.measure_rtk(False, [1])] == [None, False, True]
+    bare = city.Drive(none, {}, dict.fromkeys(city.RUNS))
+    monkeypatch.setattr(city, "drive", lambda seed, quick: bare)
+    (figure,) = city.measure_rtk(True, [1])
+    assert figure.met is None and "apt install rtklib" in figure.ours
+
+
+def test_seeds_add_up() -> None:
+    found = added([Shares(10, 3, 1, 2, 4, 0.01), Shares(20, 1, 0, 9, 10, 0.03)])
+    assert found[:5] == (30, 4, 1, 11, 14)
+    assert found.right_rms_m == pytest.approx(np.sqrt((3 * 1e-4 + 9e-4) / 4.0))
+    assert np.isnan(added([Shares(10, 0, 1, 2, 7, np.nan)]).right_rms_m)
