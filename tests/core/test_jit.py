@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from llvmlite.binding import get_host_cpu_features, llvm_version_info
 
 from deepgnss.core.jit import kernel, summing_kernel
 from deepgnss.core.records import FloatArray
@@ -43,20 +44,34 @@ def test_division_by_zero_is_numpy_s() -> None:
         assert _ratio(np.float64(1.0), np.float64(0.0)) == np.inf
 
 
+def _told_numba(name: str, **given: str) -> str:
+    """What a new process sets for numba, with other settings given beforehand."""
+    code = f"import deepgnss.core.jit, os; print(os.environ.get({name!r}, ''))"
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_C")}
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        env=environment | given,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return run.stdout.strip()
+
+
+def test_kernels_are_compiled_for_this_processor_without_gathers() -> None:
+    """The features are all that it has, and the user's own word counts more."""
+    has, told = get_host_cpu_features(), _told_numba("NUMBA_CPU_FEATURES")
+    if has.get("avx2", False) and llvm_version_info[0] >= 18:
+        assert told == f"{has.flatten()},+prefer-no-gather"
+    else:
+        assert told == ""
+    assert _told_numba("NUMBA_CPU_FEATURES", NUMBA_CPU_FEATURES="+sse2") == "+sse2"
+
+
 def test_cache_lies_in_a_user_folder_named_by_the_sources(tmp_path: Path) -> None:
     """Another user cache: another place; the same sources: the same name."""
-    code = "import deepgnss.core.jit, os; print(os.environ['NUMBA_CACHE_DIR'])"
-    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
-    folders = []
-    for _ in range(2):
-        run = subprocess.run(
-            [sys.executable, "-c", code],
-            env=environment | {"XDG_CACHE_HOME": str(tmp_path)},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        folders.append(Path(run.stdout.strip()))
+    told = [_told_numba("NUMBA_CACHE_DIR", XDG_CACHE_HOME=str(tmp_path)) for _ in range(2)]
+    folders = [Path(folder) for folder in told]
     assert folders[0] == folders[1]
     assert folders[0].parent == tmp_path / "deepgnss" / "kernels"
     assert len(folders[0].name) == 16
