@@ -59,11 +59,29 @@ def _sampled_bandwidth(order: int, normalized_frequency: float) -> float:
     """One-sided noise bandwidth × T of the predicted phase at the middle of the interval."""
     gain, error_transition = _observer(order, normalized_frequency)
     transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])[:order, :order]
-    scale = normalized_frequency ** -np.arange(order)  # states of like size: well conditioned
-    drive = scale * (transition @ gain)
+    scale: FloatArray = normalized_frequency ** -np.arange(order, dtype=np.float64)
+    return _noise_bandwidth(error_transition, transition @ gain, scale)
+
+
+def _noise_bandwidth(error_transition: FloatArray, drive: FloatArray, scale: FloatArray) -> float:
+    """Of the first state, × T; scale: of states of like size, which are well conditioned."""
+    drive = scale * drive
     error_transition = scale[:, np.newaxis] * error_transition / scale
     covariance = solve_discrete_lyapunov(error_transition, np.outer(drive, drive))
     return float(covariance[0, 0]) / 2.0
+
+
+def noise_bandwidth_hz(gains: LoopGains, interval_s: float) -> float:
+    """One-sided noise bandwidth of a sampled loop with these gains, as `loop_gains` counts it."""
+    T = interval_s
+    gain = np.array(gains) * [1.0, T, T * T]
+    transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+    order = np.flatnonzero(gain)[-1] + 1
+    gain, transition = gain[:order], transition[:order, :order]
+    kept = np.eye(order)
+    kept[:, 0] -= gain
+    scale: FloatArray = gain[0] ** -np.arange(order, dtype=np.float64)
+    return _noise_bandwidth(transition @ kept, transition @ gain, scale) / T
 
 
 @lru_cache(maxsize=256)

@@ -17,7 +17,12 @@ from deepgnss.io.config import Config
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.receiver.acquisition import AcquisitionSettings
 from deepgnss.receiver.clock import NS
-from deepgnss.receiver.modes import CarrierSettings, FrequencySettings, TrackingSettings
+from deepgnss.receiver.modes import (
+    CarrierSettings,
+    FrequencySettings,
+    KalmanSettings,
+    TrackingSettings,
+)
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.receiver import Knowledge, ReceiverSettings
 from deepgnss.receiver.search import SearchSettings
@@ -125,7 +130,7 @@ def _covered(config: Config, streams: tuple[StreamInfo, ...]) -> tuple[Covered, 
 def receiver_settings(config: Config) -> ReceiverSettings:
     """Settings of the receiver from the config's tracking, acquisition, positioning, output."""
     tracking, positioning, acquisition = config.tracking, config.positioning, config.acquisition
-    frequency = tracking.frequency
+    frequency, kalman = tracking.frequency, tracking.carrier.kalman
     return ReceiverSettings(
         tracking=TrackingSettings(
             carrier=CarrierSettings(
@@ -133,6 +138,13 @@ def receiver_settings(config: Config) -> ReceiverSettings:
                 bandwidth_hz=tracking.carrier.bandwidth,
                 coherent_s=tracking.carrier.coherent,
                 oscillator=config.oscillator.oscillator(),
+                kalman=KalmanSettings(
+                    dynamics_mps2=kalman.dynamics,
+                    adaptive=kalman.adaptive,
+                    memory_s=kalman.memory,
+                    fading=kalman.fading,
+                    square_root=kalman.square_root,
+                ),
             ),
             code_order=tracking.code.order,
             code_bandwidths_hz=tuple(tracking.code.bandwidth),

@@ -44,6 +44,17 @@ class FrequencySettings:
     phase: bool = False  # take the phase from the peak as well
 
 
+@dataclass(frozen=True, slots=True)
+class KalmanSettings:
+    """A Kalman carrier loop, as the config's `tracking.carrier.kalman`."""
+
+    dynamics_mps2: float = 0.3  # by which the acceleration in the line of sight changes in 1 s, 1σ
+    adaptive: bool = True
+    memory_s: float = 1.0
+    fading: float = 1.0
+    square_root: bool = True
+
+
 IDEAL_OSCILLATOR = Oscillator("ideal", 0.0, 0.0, 0.0, 0.0)
 
 
@@ -55,6 +66,7 @@ class CarrierSettings:
     bandwidth_hz: float = 7.0  # of pll2 and pll3
     coherent_s: float = 0.02  # of an interval
     oscillator: Oscillator = IDEAL_OSCILLATOR  # for loops that model it
+    kalman: KalmanSettings = KalmanSettings()
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ MAX_LOOP_PRODUCT = 0.4
 """Limit on bandwidth × coherent time. A loop with the analogue coefficients is unstable from 0.42
 (order 2) and 0.455 (order 3) on; those of core.loops would bear more."""
 
-_LATER_LOOPS = ("fft", "kalman", "long_update")
+_LATER_LOOPS = ("long_update",)
 
 
 def _whole_ms(value: float) -> int:
@@ -66,22 +66,38 @@ class AcquisitionConfig(Section):
 
 def _only_loops_at_hand(value: object) -> object:
     if value in _LATER_LOOPS:
-        raise misfit("not yet in this version; expected pll2 or pll3")
+        raise misfit("not yet in this version; expected pll2, pll3 or kalman")
     return value
+
+
+class KalmanConfig(Section):
+    """Loop `kalman`: its gains follow from C/N0, from `oscillator`, and from the motion."""
+
+    dynamics: Annotated[float, Quantity(0.001, 1000.0, "m/s²")] = 0.3
+    """By how much the acceleration in the line of sight changes in a second, m/s² (1σ)."""
+    adaptive: Switch = True
+    """Take the noise of phases from innovations rather than from C/N0, K(22–25)."""
+    memory: Annotated[float, Quantity(0.1, 60.0, "s")] = 1.0
+    """Length of their running mean, s."""
+    fading: Annotated[float, Quantity(1.0, 1.5, "")] = 1.0
+    """Growth of the filter's covariance from step to step, K(27); 1: none."""
+    square_root: Switch = True
+    """Keep a root of the covariance (Potter), K(28), rather than itself (Joseph)."""
 
 
 class CarrierConfig(Section):
     """Carrier loop."""
 
     loop: Annotated[
-        Literal["pll2", "pll3"],
+        Literal["pll2", "pll3", "kalman"],
         BeforeValidator(_only_loops_at_hand),
     ] = "pll3"
-    """Costas phase-lock loop of order 2 or 3."""
+    """Costas phase-lock loop of order 2 or 3, or a Kalman filter of phase, frequency and rate."""
     bandwidth: Annotated[float, Quantity(0.1, 200.0, "Hz")] = 7.0
-    """One-sided noise bandwidth of the settled loop, Hz."""
+    """One-sided noise bandwidth of the settled loop, Hz; of pll2 and pll3."""
     coherent: Annotated[float, Quantity(0.001, 0.020, "s")] = 0.020
     """Coherent time of the settled loop, s; a whole part of a 20 ms bit."""
+    kalman: KalmanConfig = KalmanConfig()
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

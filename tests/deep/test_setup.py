@@ -15,7 +15,7 @@ from deepgnss.core.time import GpsTime
 from deepgnss.deep.consistency import check_nav_date
 from deepgnss.deep.setup import plan_run
 from deepgnss.io.config import Config
-from deepgnss.receiver.modes import CarrierSettings, FrequencySettings
+from deepgnss.receiver.modes import CarrierSettings, FrequencySettings, KalmanSettings
 from deepgnss.sim.constellation import nominal_gps
 
 L1_HZ = 1575.42e6
@@ -63,7 +63,18 @@ def test_settings_arrive_where_they_belong() -> None:
     plan = plan_run(
         _config(
             tracking={
-                "carrier": {"loop": "pll2", "bandwidth": 11.0, "coherent": 0.010},
+                "carrier": {
+                    "loop": "pll2",
+                    "bandwidth": 11.0,
+                    "coherent": 0.010,
+                    "kalman": {
+                        "dynamics": 0.7,
+                        "adaptive": False,
+                        "memory": 2.5,
+                        "fading": 1.02,
+                        "square_root": False,
+                    },
+                },
                 "code": {"order": 1, "bandwidth": [2.5, 0.4], "spacing": 0.6, "coherent": 0.010},
                 "frequency": {
                     "discriminator": "sfft",
@@ -95,7 +106,9 @@ def test_settings_arrive_where_they_belong() -> None:
         (STREAM,),
     )
     tracking, search, pvt = plan.settings.tracking, plan.settings.acquisition, plan.settings.pvt
-    assert tracking.carrier == CarrierSettings("pll2", 11.0, 0.010, tracking.carrier.oscillator)
+    kalman = KalmanSettings(0.7, False, 2.5, 1.02, False)
+    oscillator = tracking.carrier.oscillator
+    assert tracking.carrier == CarrierSettings("pll2", 11.0, 0.010, oscillator, kalman)
     assert tracking.carrier.oscillator.h0_s == 1e-21
     assert tracking.spacing_chips == 0.6
     assert (tracking.code_order, tracking.code_bandwidths_hz) == (1, (2.5, 0.4))
