@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
 import click
-import pandas as pd
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from deepgnss.cli.main import EXIT_NOTHING_USABLE
 from deepgnss.core.errors import InputFileError
@@ -23,15 +23,14 @@ from deepgnss.evaluate.comparison import (
     compare as held_against,
 )
 from deepgnss.evaluate.comparison_outputs import FILES, write_comparison
-from deepgnss.evaluate.double_differences import usual_sigma
+from deepgnss.evaluate.comparison_tables import Sheet, sheets
 from deepgnss.evaluate.metrics import GROSS_M
 from deepgnss.evaluate.observations import read_observations
-from deepgnss.evaluate.rtk import MODES, RATIO, RIGHT_M, Fixes
-from deepgnss.evaluate.sources import Source, read_source
+from deepgnss.evaluate.rtk import MODES, RIGHT_M
+from deepgnss.evaluate.sources import Source, read_reference, read_source
 from deepgnss.io.folder import prepare_folder
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.io.rinex_obs_reader import read_obs
-from deepgnss.io.truth import read_truth
 
 _NARROWEST = 110  # columns of the tables where there is no terminal
 _TruthKind = Literal["csv", "rtklib_pos", "kfgins_nav"]
@@ -50,8 +49,13 @@ _TruthKind = Literal["csv", "rtklib_pos", "kfgins_nav"]
 @click.option(
     "--truth-format",
     type=click.Choice(["csv", "rtklib_pos", "kfgins_nav"]),
-    default="csv",
-    show_default=True,
+    help="Default: by its ending; the positions of a .ubx or .nmea log serve too.",
+)
+@click.option(
+    "--lever-arm",
+    type=float,
+    nargs=3,
+    help="IMU to antenna, m forward right down: takes a .nav, whose places are the IMU's, there.",
 )
 @click.option(
     "--base", type=click.Path(path_type=Path), help="RINEX observations of a base station."
@@ -99,13 +103,19 @@ _TruthKind = Literal["csv", "rtklib_pos", "kfgins_nav"]
     help="m, horizontal error up to which a fix is right.",
 )
 @click.option(
+    "--gaps",
+    type=click.Path(path_type=Path),
+    help="CSV: name, from_tow_s, to_tow_s of stretches without sky; default: gaps all have.",
+)
+@click.option(
     "-o", "--output", type=click.Path(path_type=Path), default=Path("compare"), show_default=True
 )
 def compare(
     runs: tuple[Path, ...],
     logs: tuple[Path, ...],
     truth: Path | None,
-    truth_format: _TruthKind,
+    truth_format: _TruthKind | None,
+    lever_arm: tuple[float, float, float] | None,
     base: Path | None,
     nav: Path | None,
     interval: float,
@@ -115,6 +125,7 @@ def compare(
     rtk: bool,
     rtk_mode: str,
     right: float,
+    gaps: Path | None,
     output: Path,
 ) -> None:
     """Compare RUNS (folders of `process`) and logs: positions, code, carrier.
@@ -124,11 +135,12 @@ def compare(
     satellites that all receivers have. Exit code 0: something could be compared; 1: nothing in
     common; 2: an input cannot be used.
     """
-    sources = _named([*runs, *logs])
+    sources = _named([*runs, *logs], lever_arm)
     if not sources:
         raise InputFileError("RUN, --log: found none; there is nothing to compare")
     yardstick = Yardstick(
-        truth=read_truth(truth, truth_format) if truth is not None else None,
+        truth=read_reference(truth, truth_format, lever_arm) if truth is not None else None,
+        truth_path=truth,
         base=read_observations(base) if base is not None else None,
         base_r_e_m=read_obs(base).position_e_m if base is not None else None,
         nav=_nav(nav, runs),
@@ -138,6 +150,7 @@ def compare(
         sections=read_sections(sections) if sections is not None else (),
         rtk_mode=rtk_mode if rtk else None,
         right_m=right,
+        gaps=read_sections(gaps) if gaps is not None else (),
     )
     found = held_against(sources, yardstick)
     prepare_folder(output, FILES)
@@ -149,11 +162,11 @@ def compare(
         raise click.exceptions.Exit(EXIT_NOTHING_USABLE)
 
 
-def _named(paths: Iterable[Path]) -> list[Source]:
+def _named(paths: Iterable[Path], lever_arm_m: tuple[float, float, float] | None) -> list[Source]:
     """Sources with names that differ."""
     sources: list[Source] = []
     for path in paths:
-        source = read_source(path)
+        source = read_source(path, lever_arm_m=lever_arm_m)
         if any(source.name == other.name for other in sources):
             source = source._replace(name=f"{path.resolve().parent.name}/{source.name}")
         sources.append(source)
@@ -175,96 +188,16 @@ def _print(found: Comparison, output: Path) -> None:
     if not console.is_terminal:
         console.width = max(console.width, _NARROWEST)
     for note in found.notes:
-        console.print(f"note: {note}")
-    if found.positions:
-        console.print(_positions(found))
-    if found.sections:
-        console.print(_sections(found.sections))
-    for name, table in found.observations.items():
-        console.print(_observations(name, table))
-    if found.clocks:
-        console.print(_clocks(found))
-    if found.rtk.shares:
-        console.print(_fixes(found.rtk))
-    console.print(f"written: {output}")
+        console.print(f"note: {note}", markup=False)
+    for sheet in sheets(found):
+        console.print(_table(sheet))
+    console.print(f"written: {output}", markup=False)
 
 
-def _positions(found: Comparison) -> Table:
-    table = Table(title="Positions against truth", title_justify="left")
-    table.add_column("receiver")
-    for name in ("fixed", "gap", "σ N", "σ E", "σ D", "RMS", "CEP50", "CEP95", "gross"):
-        table.add_column(name, justify="right")
-    for name, one in found.positions.items():
-        metres = (one.north_std_m, one.east_std_m, one.down_std_m, one.horizontal_rms_m)
-        table.add_row(
-            name,
-            f"{100.0 * one.fixed_share:.1f} % of {one.epochs}",
-            f"{one.longest_gap_s:g} s",
-            *(f"{x:.2f} m" for x in (*metres, one.cep50_m, one.cep95_m)),
-            f"{100.0 * one.gross_share:.2f} %",
-        )
-    compared = next(iter(found.positions.values())).compared
-    table.caption = f"errors over the {compared} instants at which all have one; gap: the longest"
-    return table
-
-
-def _sections(sections: Mapping[str, Mapping[str, float]]) -> Table:
-    table = Table(title="Share of instants with a position", title_justify="left")
-    table.add_column("section")
-    for name in next(iter(sections.values())):
-        table.add_column(name, justify="right")
-    for section, shares in sections.items():
-        table.add_row(section, *(f"{100.0 * share:.1f} %" for share in shares.values()))
-    return table
-
-
-def _observations(name: str, found: pd.DataFrame) -> Table:
-    table = Table(title=f"{name}: double differences", title_justify="left")
-    for column in ("satellite", "against"):
-        table.add_column(column)
-    for column in ("epochs", "code σ", "code mean", "phase σ", "phase max", "slips"):
-        table.add_column(column, justify="right")
-    for satellite, row in found.iterrows():
-        table.add_row(
-            str(satellite),
-            str(row["reference"]),
-            str(int(row["epochs"])),
-            f"{row['code_sigma_m']:.3f} m",
-            f"{row['code_mean_m']:+.3f} m",
-            f"{100.0 * row['phase_sigma_m']:.3f} cm",
-            f"{100.0 * row['phase_max_m']:.3f} cm",
-            str(int(row["slips"])),
-        )
-    if len(found):
-        code_m, phase_m = usual_sigma(found, "code_sigma_m"), usual_sigma(found, "phase_sigma_m")
-        table.caption = f"together: code {code_m:.3f} m, phase {100.0 * phase_m:.3f} cm"
-    return table
-
-
-def _clocks(found: Comparison) -> Table:
-    table = Table(title="Clock against the base (delays of cables in it)", title_justify="left")
-    table.add_column("receiver")
-    for name in ("median", "σ of one", "differences"):
-        table.add_column(name, justify="right")
-    for name, clock in found.clocks.items():
-        table.add_row(
-            name, f"{clock.median_m:+.3f} m", f"{clock.sigma_m:.3f} m", str(clock.differences)
-        )
-    return table
-
-
-def _fixes(rtk: Fixes) -> Table:
-    table = Table(title="RTK by RTKLIB", title_justify="left")
-    table.add_column("receiver")
-    for name in ("instants", "right", "wrong", "float", "without", "RMS of the right"):
-        table.add_column(name, justify="right")
-    for name, one in rtk.shares.items():
-        counts = (one.right, one.wrong, one.floating, one.without)
-        table.add_row(
-            name,
-            str(one.epochs),
-            *(f"{count} ({100.0 * count / max(one.epochs, 1):.1f} %)" for count in counts),
-            f"{100.0 * one.right_rms_m:.2f} cm",
-        )
-    table.caption = f"fixed: ratio above {RATIO:g}"
+def _table(sheet: Sheet) -> Table:
+    table = Table(title=Text(sheet.title), title_justify="left", caption=Text(sheet.note) or None)
+    for place, name in enumerate(sheet.head):
+        table.add_column(Text(name), justify="left" if place < sheet.words else "right")
+    for row in sheet.rows:
+        table.add_row(*map(Text, row))
     return table

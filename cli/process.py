@@ -18,6 +18,7 @@ from deepgnss.cli.screen import (
     RunState,
     RunSummary,
     Screen,
+    nearby,
     summary_table,
     why_no_fix_table,
     why_no_position,
@@ -85,7 +86,7 @@ def process(
             knowledge = knowledge or run.scouted()
             usable = run.whole(knowledge) and usable
     if both:
-        _print_worth({name: one.output.directory for name, one in runs.items()})
+        _print_worth(config, {name: one.output.directory for name, one in runs.items()})
     if not usable:
         raise click.exceptions.Exit(EXIT_NOTHING_USABLE)
 
@@ -105,16 +106,24 @@ def _aided_and_unaided(config: Config) -> dict[str, Config]:
     return runs
 
 
-def _print_worth(folders: Mapping[str, Path]) -> None:
-    from deepgnss.evaluate.worth import worth
+def _print_worth(config: Config, folders: Mapping[str, Path]) -> None:
+    from deepgnss.evaluate.sources import read_reference
+    from deepgnss.evaluate.worth import worth, write_worth_report
 
+    rows = worth(list(folders.values()))
     table = Table(title="What aiding was worth", title_justify="left")
     table.add_column("")
     for name in folders:
         table.add_column(name, justify="right")
-    for row in worth(list(folders.values())):
+    for row in rows:
         table.add_row(*row)
-    Console().print(table)
+    console = Console()
+    console.print(table)
+    if config.output.report:
+        known = config.truth
+        truth = read_reference(known.file, known.format) if known is not None else None
+        page = write_worth_report(Path(config.output.directory), folders, rows, truth)
+        console.print(f"to look at: {nearby(page)}", markup=False, soft_wrap=True)
 
 
 def _require_whole(config: Config, recording: Recording) -> None:
@@ -170,7 +179,7 @@ class _Run:
         outcomes = engine.receiver.accounts.outcomes
         horizontal = None
         if self.config.output.report and self.config.output.csv and outputs.tally.epochs:
-            with self._stage("errors and picture"):
+            with self._stage("errors and report"):
                 found = _draw(self.config, folder, self.path.name)
                 horizontal = found.of("horizontal_m") if found else None
         inertial = engine.coupled.guard.line() if engine.coupled is not None else ""
@@ -202,7 +211,7 @@ class _Run:
                 outputs.write(result, engine.navigated)
                 self._show(result)
             receiver = engine.receiver
-            told: dict[str, Any] = {"config": _echo(self.config)}
+            told: dict[str, Any] = {"recording": self.path.name, "config": _echo(self.config)}
             if engine.coupled is not None:
                 told["inertial"] = engine.coupled.guard.summary()
                 if engine.coupled.screening is not None:
@@ -315,9 +324,10 @@ def _echo(config: Config) -> dict[str, Any]:
 
 
 def _draw(config: Config, folder: Path, name: str) -> Evaluation | None:
-    """Overview picture, and errors where there is a truth."""
+    """Overview picture and report, and errors where there is a truth."""
     from deepgnss.evaluate.errors import errors, evaluate, write_errors, write_statistics
     from deepgnss.evaluate.overview import draw_overview, read_run
+    from deepgnss.evaluate.report.run import write_run_report
     from deepgnss.io.truth import read_truth
 
     run = read_run(folder, name)
@@ -329,4 +339,5 @@ def _draw(config: Config, folder: Path, name: str) -> Evaluation | None:
         write_errors(folder / "errors.csv", found)
         write_statistics(folder / "statistics.csv", evaluation)
     draw_overview(folder / "overview.png", run, truth)
+    write_run_report(folder)
     return evaluation

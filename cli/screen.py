@@ -198,7 +198,7 @@ def summary_table(summary: RunSummary) -> Table:
     if summary.files:
         table.add_row("files", ", ".join(path.name for path in summary.files))
     for path in summary.files:
-        if path.suffix == ".png":
+        if path.suffix in (".png", ".html"):
             table.add_row("to look at", nearby(path))
     return table
 

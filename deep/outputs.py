@@ -42,7 +42,7 @@ FILES = (
     *(f"{name}.csv" for name in ("errors", "statistics", "trajectory", "innovations")),
     *(f"track.{kind}" for kind in ("kml", "gpx", "geojson")),
     "correlations.h5",
-    "overview.png",
+    *("overview.png", "report.html"),
     "summary.json",
 )
 """Names of all files a run may write, as shell patterns."""

@@ -20,7 +20,17 @@ from deepgnss.evaluate.double_differences import (
     satellite_table,
 )
 from deepgnss.evaluate.geometry import between, modelled_errors
+from deepgnss.evaluate.heard import Heard, heard, strength
 from deepgnss.evaluate.metrics import GROSS_M
+from deepgnss.evaluate.outages import (
+    Gap,
+    OwnGaps,
+    Recovery,
+    common_gaps,
+    named_gaps,
+    own_gaps,
+    recoveries,
+)
 from deepgnss.evaluate.positions import (
     Figures,
     Instants,
@@ -34,6 +44,27 @@ from deepgnss.evaluate.rtk import NO_FIXES, RIGHT_M, Base, Fixes, rtk_fixes
 from deepgnss.evaluate.single_point import at_rest, single_point
 from deepgnss.evaluate.sources import Source
 from deepgnss.io.truth import Trajectory
+
+
+class Origin(NamedTuple):
+    """What stands behind a receiver's figures, in words."""
+
+    kind: str  # of file
+    positions: str  # whose they are
+    point: str  # antenna or IMU
+    time: str  # the file's scale; all are compared on GPST
+
+
+class Ways(NamedTuple):
+    """Where all were over the instants compared, and how they came back after gaps."""
+
+    truth: Trajectory
+    positions: Mapping[str, pd.DataFrame]  # single_point.POSITIONS
+    asked: Instants
+    interval_s: float
+    gaps: Sequence[tuple[Gap, Mapping[str, Recovery]]]  # those all had, or those named
+    own_gaps: Mapping[str, OwnGaps]
+    gross_m: float
 
 
 class Clock(NamedTuple):
@@ -56,6 +87,10 @@ class Comparison:
     clocks: Mapping[str, Clock]  # against the base
     notes: tuple[str, ...] = ()
     rtk: Fixes = NO_FIXES
+    ways: Ways | None = None  # None without truth
+    strengths: Mapping[str, pd.DataFrame] = field(default_factory=dict)  # C/N0, as of `strength`
+    heard: Mapping[str, Heard] = field(default_factory=dict)
+    origins: Mapping[str, Origin] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +107,8 @@ class Yardstick:
     sections: tuple[Section, ...] = ()
     rtk_mode: str | None = None  # one of rtk.MODES; None: no RTK
     right_m: float = RIGHT_M  # horizontal error of a right fix
+    gaps: tuple[Section, ...] = ()  # stretches without sky; none: those that all receivers had
+    truth_path: Path | None = None  # a log that is the truth itself is not held against itself
 
 
 def compare(sources: Sequence[Source], yardstick: Yardstick) -> Comparison:
@@ -83,15 +120,22 @@ def compare(sources: Sequence[Source], yardstick: Yardstick) -> Comparison:
     """
     if yardstick.truth is None and yardstick.base is None:
         raise InputFileError("--truth, --base: found neither; there is nothing to compare with")
+    return compared(sources, yardstick)
+
+
+def compared(sources: Sequence[Source], yardstick: Yardstick) -> Comparison:
+    """As `compare`; with neither truth nor base, only what the receivers heard."""
     notes: list[str] = []
     place_e_m = _base_place(yardstick, notes)
     found: dict[str, pd.DataFrame] = {}
-    asked = np.zeros(0, np.int64)
+    asked, ways = np.zeros(0, np.int64), None
+    sources = [_no_judge_of_itself(source, yardstick, notes) for source in sources]
     if yardstick.truth is not None:
         whole = [_with_positions(source, yardstick, notes) for source in sources]
         located = {s.name: s.positions for s in whole if len(s.positions)}
         found = position_errors(located, yardstick.truth, yardstick.interval_s)
         asked = _overlap(found, grid(yardstick.truth, yardstick.interval_s))
+        ways = _ways(located, yardstick.truth, found, asked, yardstick)
     singles = _singles(sources, yardstick, place_e_m, notes)
     high = {
         name: table[table["elevation_deg"] >= yardstick.elevation_mask_deg]
@@ -110,7 +154,52 @@ def compare(sources: Sequence[Source], yardstick: Yardstick) -> Comparison:
         {name: _clock(table) for name, table in singles.items()},
         tuple(notes),
         _rtk(sources, yardstick, place_e_m),
+        ways,
+        {source.name: table for source in sources if len(table := strength(source))},
+        heard(sources),
+        {source.name: _origin(source, yardstick) for source in sources},
     )
+
+
+def _no_judge_of_itself(source: Source, yardstick: Yardstick, notes: list[str]) -> Source:
+    """A log that is the truth keeps its observations only."""
+    if source.path is None or yardstick.truth_path is None:
+        return source
+    if source.path.resolve() != yardstick.truth_path.resolve():
+        return source
+    notes.append(f"{source.name}: it is the truth; its own positions are not held against it")
+    return source._replace(positions=source.positions[:0])
+
+
+def _ways(
+    located: Mapping[str, pd.DataFrame],
+    truth: Trajectory,
+    found: Mapping[str, pd.DataFrame],
+    asked: Instants,
+    yardstick: Yardstick,
+) -> Ways:
+    interval_s = yardstick.interval_s
+    over = (
+        named_gaps(yardstick.gaps, asked, interval_s)
+        if yardstick.gaps
+        else common_gaps(asked, [table.index.to_numpy(np.int64) for table in found.values()])
+    )
+    return Ways(
+        truth,
+        located,
+        asked,
+        interval_s,
+        recoveries(over, found, asked, interval_s),
+        {name: own_gaps(table, asked, interval_s) for name, table in found.items()},
+        yardstick.gross_m,
+    )
+
+
+def _origin(source: Source, yardstick: Yardstick) -> Origin:
+    located = yardstick.truth is not None and len(source.observations) and yardstick.nav.ephemerides
+    whose = "its own" if len(source.positions) else "ours, single point" if located else "none"
+    time = {"NMEA": "UTC", "RINEX": "as its header says"}.get(source.kind, "GPST")
+    return Origin(source.kind, whose, source.point, time)
 
 
 def _with_positions(source: Source, yardstick: Yardstick, notes: list[str]) -> Source:

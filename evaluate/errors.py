@@ -36,6 +36,9 @@ class Errors:
     v_north_mps: FloatArray
     v_east_mps: FloatArray
     v_down_mps: FloatArray
+    true_x_e_m: FloatArray  # truth's place
+    true_y_e_m: FloatArray
+    true_z_e_m: FloatArray
 
     @property
     def fixed(self) -> NDArray[np.bool_]:
@@ -116,6 +119,9 @@ def errors(solution: pd.DataFrame, truth: Trajectory) -> Errors:
         v_north_mps=v_north_mps,
         v_east_mps=v_east_mps,
         v_down_mps=v_down_mps,
+        true_x_e_m=true_r_e_m[covered, 0],
+        true_y_e_m=true_r_e_m[covered, 1],
+        true_z_e_m=true_r_e_m[covered, 2],
     )
 
 
@@ -157,7 +163,7 @@ def distribution(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def write_errors(path: Path, e: Errors) -> None:
-    """errors.csv: one row per epoch that truth covers, blank where there was no fix."""
+    """errors.csv: one row per epoch that truth covers, errors blank where there was no fix."""
     names = [field.name for field in fields(e)]
     rows = [",".join(names)]
     for week, tow_s, *values in zip(*(getattr(e, name) for name in names), strict=True):

@@ -150,7 +150,7 @@ def _draw_sky(axes: PolarAxes, satellites: pd.DataFrame, colours: dict[str, str]
     for name, (azimuth_rad, zenith) in places.items():
         face = colours[name] if used[name] else "white"
         axes.plot(azimuth_rad, zenith, "o", ms=9, mfc=face, mec=colours[name], mew=1.5)
-    for name, offset in _label_offsets(places).items():
+    for name, offset in label_offsets(places).items():
         axes.annotate(
             name,
             places[name],
@@ -163,7 +163,7 @@ def _draw_sky(axes: PolarAxes, satellites: pd.DataFrame, colours: dict[str, str]
         )
 
 
-def _label_offsets(places: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+def label_offsets(places: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
     """Where labels go around their markers, in points: away from whatever stands nearby."""
     points_per_degree = 1.3  # about, for a dial of the figure's size
     at = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,10 +15,10 @@ from deepgnss.core.errors import InputFileError
 from deepgnss.core.frames import C_ne
 from deepgnss.core.records import FloatArray
 from deepgnss.evaluate.errors import read_solution
-from deepgnss.evaluate.observations import OBSERVATION_COLUMNS, read_observations
+from deepgnss.evaluate.observations import OBSERVATION_COLUMNS, read_channels, read_observations
 from deepgnss.evaluate.single_point import POSITIONS
 from deepgnss.io.nmea import read_nmea
-from deepgnss.io.truth import Trajectory, read_truth
+from deepgnss.io.truth import Trajectory, TruthFormat, read_truth
 from deepgnss.io.ubx import read_ubx
 
 
@@ -29,13 +30,47 @@ class Source(NamedTuple):
     positions: pd.DataFrame  # single_point.POSITIONS; of the antenna unless `point` says otherwise
     observations: pd.DataFrame  # observations.OBSERVATION_COLUMNS
     point: str = "antenna"
+    channels: pd.DataFrame | None = None  # channels.csv of a run of ours
+    path: Path | None = None
 
 
-def read_source(path: Path, name: str = "") -> Source:
+def read_source(path: Path, name: str = "", lever_arm_m: Sequence[float] | None = None) -> Source:
     """Read a run's folder, UBX, NMEA, RINEX observations, RTKLIB `.pos`, KF-GINS `.nav`.
 
+    Parameters: lever_arm_m, IMU → antenna in the body (FRD), which takes a `.nav` to the antenna.
     Raises InputFileError: it cannot be read, or is none of these.
     """
+    return _read(path, name, lever_arm_m)._replace(path=path)
+
+
+def read_reference(
+    path: Path, form: TruthFormat | None, lever_arm_m: Sequence[float] | None = None
+) -> Trajectory:
+    """The way the antenna went: a truth file, or the positions in a UBX or NMEA log.
+
+    Parameters: form, of the file; None: by its ending, CSV unless it says otherwise.
+    Raises InputFileError: it cannot be read, or holds no positions.
+    """
+    endings: dict[str, TruthFormat] = {".pos": "rtklib_pos", ".nav": "kfgins_nav"}
+    if form is not None or path.suffix.lower() not in _LOGS:
+        form = form or endings.get(path.suffix.lower(), "csv")
+        return read_truth(path, form, lever_arm_m=lever_arm_m)
+    known = read_source(path).positions
+    known = known[known["valid"] == 1].drop_duplicates(["week", "tow_s"])
+    if known.empty:
+        raise InputFileError(f"{path}: no positions in it")
+    known = known.sort_values(["week", "tow_s"], kind="stable")
+    return Trajectory(
+        known["week"].to_numpy(np.int64),
+        known["tow_s"].to_numpy(np.float64),
+        known[["x_e_m", "y_e_m", "z_e_m"]].to_numpy(np.float64),
+    )
+
+
+_LOGS = (".ubx", ".nmea", ".nme")
+
+
+def _read(path: Path, name: str, lever_arm_m: Sequence[float] | None) -> Source:
     name = name or (path.name if path.is_dir() else path.stem)
     if path.is_dir():
         return _run(path, name)
@@ -51,9 +86,9 @@ def read_source(path: Path, name: str = "") -> Source:
     if head.lstrip().startswith(b"$") or ending in (".nmea", ".nme"):
         return Source(name, "NMEA", _nmea(path), _no_observations())
     if ending == ".nav":
-        return Source(
-            name, "KF-GINS", _of(read_truth(path, "kfgins_nav")), _no_observations(), "IMU"
-        )
+        way = _of(read_truth(path, "kfgins_nav", lever_arm_m=lever_arm_m))
+        point = "IMU" if lever_arm_m is None else "antenna"
+        return Source(name, "KF-GINS", way, _no_observations(), point)
     raise InputFileError(
         f"{path}: expected a run's folder, .ubx, NMEA, RINEX observations, .pos or .nav"
     )
@@ -73,7 +108,10 @@ def _run(folder: Path, name: str) -> Source:
         raise InputFileError(f"{folder}: no solution.csv in it: not the folder of a finished run")
     observed = folder / "observations.csv"
     observations = read_observations(observed) if observed.is_file() else _no_observations()
-    return Source(name, "deepgnss", _tidy(read_solution(solution)), observations)
+    told = folder / "channels.csv"
+    channels = read_channels(told) if told.is_file() else None
+    positions = _tidy(read_solution(solution))
+    return Source(name, "deepgnss", positions, observations, channels=channels)
 
 
 def _tidy(frame: pd.DataFrame) -> pd.DataFrame:

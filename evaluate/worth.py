@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from deepgnss.evaluate.comparison import Yardstick, compared
 from deepgnss.evaluate.metrics import GROSS_M, metrics
+from deepgnss.evaluate.report.chart import figure
+from deepgnss.evaluate.report.comparison import write_comparison_report
+from deepgnss.evaluate.report.tables import table
+from deepgnss.evaluate.sources import read_source
+from deepgnss.io.truth import Trajectory
 
 _ROWS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
     ("epochs with a fix", "fixed_share", lambda x: f"{100.0 * x:.2f} %"),
@@ -34,3 +40,17 @@ def worth(folders: Sequence[Path]) -> list[tuple[str, ...]]:
         for title, name, told in _ROWS
         if not all(math.isnan(run[name].value) for run in runs)
     ]
+
+
+def write_worth_report(
+    folder: Path,
+    runs: Mapping[str, Path],
+    rows: Sequence[tuple[str, ...]],
+    truth: Trajectory | None,
+) -> Path:
+    """Write report.html of the runs side by side, the table of `worth` first; returns its path."""
+    path = folder / "report.html"
+    found = compared([read_source(own, name) for name, own in runs.items()], Yardstick(truth))
+    sheet = figure("What aiding was worth", table(["", *runs], rows))
+    write_comparison_report(found, path, sheet)
+    return path

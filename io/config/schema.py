@@ -44,7 +44,7 @@ class OutputConfig(Section):
     csv: Switch = True
     """CSV of solution, channels and events."""
     report: Switch = True
-    """Overview picture and track files (KML, GPX, GeoJSON)."""
+    """Page (report.html), overview picture and track files (KML, GPX, GeoJSON)."""
     correlations: Switch = False
     """HDF5 of all correlator outputs (large)."""
 

@@ -10,11 +10,24 @@ import pandas as pd
 import pymap3d
 import pytest
 from click.testing import CliRunner
+from report_pages import HOSTILE, faults, words
 
 from deepgnss.cli.main import cli
 from deepgnss.core.records import FloatArray
+from deepgnss.evaluate.comparison import Yardstick, compare
+from deepgnss.evaluate.observations import OBSERVATION_COLUMNS
+from deepgnss.evaluate.outages import (
+    Gap,
+    Recovery,
+    common_gaps,
+    named_gaps,
+    own_gaps,
+    recoveries,
+)
 from deepgnss.evaluate.positions import Section, availability, figures, grid, position_errors
+from deepgnss.evaluate.report.comparison import comparison_page
 from deepgnss.evaluate.single_point import POSITIONS
+from deepgnss.evaluate.sources import Source
 from deepgnss.io.truth import Trajectory
 
 _WEEK, _START_S = 2290, 1000.0
@@ -83,6 +96,41 @@ def test_errors_are_counted_where_all_have_positions_and_shares_where_one_was_as
     assert shares == {"tunnel": {"whole": 1.0, "gap": 0.0}}
 
 
+def _errors(instants: list[int], horizontal_m: list[float]) -> pd.DataFrame:
+    return pd.DataFrame({"horizontal_m": horizontal_m}, index=pd.Index(instants, name="instant"))
+
+
+def test_a_gap_all_had_ends_when_the_first_is_back() -> None:
+    asked = np.arange(100, 140)
+    early = _errors([*range(100, 110), *range(120, 140)], [1.0] * 10 + [5.0] * 2 + [1.0] * 18)
+    late = _errors([*range(100, 108), *range(124, 130)], [1.0] * 14)
+    over = common_gaps(asked, [t.index.to_numpy() for t in (early, late)])
+    assert over == [Gap(110, 120)]
+    ((_, told),) = recoveries(over, {"early": early, "late": late}, asked, 0.5)
+    assert told["early"] == Recovery(0.0, 1.0) and told["late"] == Recovery(2.0, 2.0)
+    own = own_gaps(late, asked, 0.5)
+    assert (own.gaps, own.total_s, own.longest_s, own.good_worst_s) == (1, 8.0, 8.0, 0.0)
+
+
+def test_a_receiver_that_is_not_back_before_the_next_gap_says_so() -> None:
+    asked = np.arange(0, 30)
+    other = _errors([*range(0, 5), *range(10, 15), *range(20, 30)], [1.0] * 20)
+    poor = _errors([*range(0, 5), *range(20, 30)], [1.0] * 5 + [9.0] * 10)
+    over = common_gaps(asked, [t.index.to_numpy() for t in (other, poor)])
+    first, second = recoveries(over, {"poor": poor}, asked, 1.0)
+    assert np.isnan(first[1]["poor"].first_s) and second[1]["poor"].first_s == 0.0
+    assert np.isnan(second[1]["poor"].good_s)
+    assert own_gaps(poor, asked, 1.0).good_worst_s == np.inf
+    assert own_gaps(_errors([], []), asked, 1.0).gaps == 0 and not common_gaps(asked, [])
+    assert recoveries([], {}, asked, 1.0) == []
+
+
+def test_gaps_may_be_named_by_their_times() -> None:
+    tunnel = Section("tunnel", 10.0, 20.0)
+    (gap,) = named_gaps((tunnel, Section("elsewhere", 900.0, 910.0)), np.arange(0, 60), 0.5)
+    assert gap == Gap(20, 40, "tunnel")
+
+
 def test_the_command_writes_tables_and_figures(truth: Trajectory, tmp_path: Path) -> None:
     every = _START_S + np.arange(0.0, 101.0)
     runs = []
@@ -113,6 +161,33 @@ def test_the_command_writes_tables_and_figures(truth: Trajectory, tmp_path: Path
     assert ratio == pytest.approx(2.0, rel=1e-3)
     assert len(pd.read_csv(out / "errors.csv")) == 202
     assert (out / "positions.png").stat().st_size > 10_000
+    page = (out / "report.html").read_text()
+    assert faults(page) == [] and "two" in words(page) and "Positions against truth" in words(page)
+    again = tmp_path / "again"
+    CliRunner().invoke(
+        cli, ["compare", *runs, "--truth", str(tmp_path / "truth.csv"), "--output", str(again)]
+    )
+    assert (again / "report.html").read_text() == page
+
+
+def test_a_log_that_is_the_truth_is_not_held_against_itself(truth: Trajectory) -> None:
+    every = _START_S + np.arange(0.0, 101.0)
+    own, path = _positions(every, np.ones((101, 3))), Path("log.ubx")
+    nothing = pd.DataFrame(columns=list(OBSERVATION_COLUMNS))
+    log = Source("log", "UBX", own, nothing, path=path)
+    run = Source("run", "deepgnss", own, nothing, path=Path("out"))
+    found = compare([run, log], Yardstick(truth, truth_path=path))
+    assert set(found.positions) == {"run"} and found.origins["log"].positions == "none"
+    assert any("it is the truth" in note for note in found.notes)
+
+
+def test_names_of_receivers_stay_text_on_the_page(truth: Trajectory) -> None:
+    every = _START_S + np.arange(0.0, 101.0)
+    nothing = pd.DataFrame(columns=list(OBSERVATION_COLUMNS))
+    sections = (Section(HOSTILE, _START_S, _START_S + 50.0),)
+    sources = [Source(HOSTILE, HOSTILE, _positions(every, np.ones((101, 3))), nothing)]
+    page = comparison_page(compare(sources, Yardstick(truth, sections=sections, gaps=sections)))
+    assert faults(page) == [] and "<script" not in page
 
 
 def test_nothing_to_hold_them_against_is_one_line(tmp_path: Path) -> None:

@@ -1,0 +1,121 @@
+"""A run cut into stretches of equal length, and its outages, each in figures."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from deepgnss.core.records import FloatArray
+from deepgnss.evaluate.outages import GOOD_M
+
+_MOST: Final = 12
+_LENGTHS_S: Final = (5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600)
+
+
+class Stretch(NamedTuple):
+    """What a stretch of time came to; NaN where there is nothing. Errors are horizontal."""
+
+    start_s: float
+    end_s: float
+    fixed_share: float
+    satellites: float  # mean, per position
+    p50_m: float
+    p95_m: float
+    largest_m: float
+
+
+class Outage(NamedTuple):
+    """A time without a position, between two positions."""
+
+    start_s: float  # first epoch without
+    end_s: float  # first with a position again
+    lasted_s: float
+    reason: str  # that of most of its epochs
+    used_before: int  # satellites of the last position before
+    used_after: int  # of the first one after
+    good_s: float  # from its end to the first position within GOOD_M; NaN: not before the next
+
+
+def stretches(solution: pd.DataFrame, errors: pd.DataFrame | None) -> list[Stretch]:
+    """At most twelve stretches of a round length.
+
+    Parameters: solution, errors: with `s`, time since the start of the recording.
+    """
+    if not len(solution):
+        return []
+    end_s = float(solution["s"].max())
+    length_s = next((x for x in _LENGTHS_S if end_s / x <= _MOST), _LENGTHS_S[-1])
+    found = []
+    for start_s in np.arange(0.0, end_s + 1e-6, length_s).tolist():
+        until_s = start_s + length_s
+        own = _between(solution, start_s, until_s)
+        if not len(own):
+            continue
+        valid = own["valid"] == 1
+        sizes = np.zeros(0)
+        if errors is not None:
+            sizes = _between(errors, start_s, until_s)["horizontal_m"].dropna().to_numpy()
+        found.append(
+            Stretch(
+                start_s,
+                until_s,
+                float(valid.mean()),
+                float(own["used"][valid].mean()) if valid.any() else math.nan,
+                *(_percentile(sizes, share) for share in (50.0, 95.0, 100.0)),
+            )
+        )
+    return found
+
+
+def _between(frame: pd.DataFrame, start_s: float, end_s: float) -> pd.DataFrame:
+    return frame[(frame["s"] >= start_s - 1e-6) & (frame["s"] < end_s - 1e-6)]
+
+
+def _percentile(sizes: FloatArray, share: float) -> float:
+    return float(np.percentile(sizes, share)) if sizes.size else math.nan
+
+
+def outages(solution: pd.DataFrame, errors: pd.DataFrame | None) -> list[Outage]:
+    """All times without a position between the first and the last one."""
+    valid = solution["valid"].to_numpy() == 1
+    times = solution["s"].to_numpy(np.float64)
+    fixed = np.flatnonzero(valid)
+    if fixed.size < 2:
+        return []
+    interval_s = float(np.median(np.diff(times)))
+    ends = [
+        (int(a), int(b))
+        for a, b in itertools.pairwise(fixed)
+        if times[b] - times[a] > 1.5 * interval_s
+    ]
+    starts = [*(times[a] for a, _ in ends[1:]), math.inf]
+    return [
+        Outage(
+            float(times[a] + interval_s),
+            float(times[b]),
+            round(float(times[b] - times[a] - interval_s), 3),
+            _usual(solution["reason"].iloc[a + 1 : b]),
+            int(solution["used"].iloc[a]),
+            int(solution["used"].iloc[b]),
+            _good(errors, float(times[b]), float(until)),
+        )
+        for (a, b), until in zip(ends, starts, strict=True)
+    ]
+
+
+def _usual(reasons: Sequence[str] | pd.Series) -> str:
+    known = pd.Series(reasons).dropna()
+    return str(known.mode().iloc[0]) if len(known) else "no epoch"
+
+
+def _good(errors: pd.DataFrame | None, end_s: float, until_s: float) -> float:
+    if errors is None:
+        return math.nan
+    own = errors[(errors["s"] >= end_s - 1e-6) & (errors["s"] <= until_s + 1e-6)]
+    good = own["s"][own["horizontal_m"] <= GOOD_M]
+    return round(float(good.iloc[0]) - end_s, 3) if len(good) else math.nan
