@@ -25,6 +25,8 @@ from deepgnss.receiver.signals import CodeRuns
 
 _TABLE_BITS = 10
 _SAMPLES_PER_CHIP = 96.0  # finer streams are thinned: entries of the sum are left out
+_SHARED_HZ = 1.0  # by which the carrier may be off where periods share the phasors of their runs
+_SHARED_PERIODS = 20.0
 
 
 @kernel
@@ -91,31 +93,24 @@ def sum_mixed(
 
 
 @summing_kernel
-def correlate_period(
-    packed: NDArray[np.int64],
-    base: int,
-    start: float,
-    entries_per_chip: float,
+def run_phasors(
     edges: FloatArray,
     signs: FloatArray,
-    phase_cycles: float,
     cycles_per_chip: float,
-    taps_chips: FloatArray,
-    out: ComplexArray,
+    real: FloatArray,
+    imag: FloatArray,
+    steps_real: FloatArray,
+    steps_imag: FloatArray,
 ) -> None:
-    """Correlate one code period with all taps.
+    """What a running sum counts at each edge of a code: steps (runs + 1,) of the signed carrier.
 
-    The period starts at entry base + start of `packed`; phase_cycles is the carrier there. Every
-    tap reuses the phasors of the runs' middles; Abel summation leaves one look-up per edge. The
-    prompt (offset 0) gives a sample at an edge whole to the nearer chip, as a sampled replica
-    would, so it loses nothing; other taps split it (linear interpolation), so that discriminators
-    stay smooth when the sampling rate is a multiple of the chip rate.
+    The carrier is taken at the runs' middles, at phase 0 in the middle of the code. real, imag:
+    room for (runs,) values. By Abel's summation one look-up an edge is left.
     """
     runs = signs.size
-    real = np.empty(runs)
-    imag = np.empty(runs)
+    middle = 0.5 * (edges[0] + edges[runs])
     for k in range(runs):
-        x = phase_cycles + cycles_per_chip * 0.5 * (edges[k] + edges[k + 1])
+        x = cycles_per_chip * (0.5 * (edges[k] + edges[k + 1]) - middle)
         x -= math.floor(x + 0.5)
         c = abs(x) - 0.25  # cos 2πx = −sin 2πc
         s = math.copysign(0.25 - abs(c), x)  # sin 2πx = sin 2πs
@@ -155,47 +150,69 @@ def correlate_period(
                 )
             )
         )
-    step_real = np.empty(runs + 1)
-    step_imag = np.empty(runs + 1)
-    step_real[0] = -real[0]
-    step_imag[0] = -imag[0]
+    steps_real[0] = -real[0]
+    steps_imag[0] = -imag[0]
     for k in range(1, runs):
-        step_real[k] = real[k - 1] - real[k]
-        step_imag[k] = imag[k - 1] - imag[k]
-    step_real[runs] = real[runs - 1]
-    step_imag[runs] = imag[runs - 1]
+        steps_real[k] = real[k - 1] - real[k]
+        steps_imag[k] = imag[k - 1] - imag[k]
+    steps_real[runs] = real[runs - 1]
+    steps_imag[runs] = imag[runs - 1]
 
+
+@summing_kernel
+def correlate_period(
+    packed: NDArray[np.int64],
+    base: int,
+    start: float,
+    entries_per_chip: float,
+    edges: FloatArray,
+    steps_real: FloatArray,
+    steps_imag: FloatArray,
+    phase_cycles: float,
+    taps_chips: FloatArray,
+    out: ComplexArray,
+) -> None:
+    """Correlate one code period with all taps.
+
+    The period starts at entry base + start of `packed`; phase_cycles is the carrier in its middle,
+    the steps are those of `run_phasors`. The prompt (offset 0) gives a sample at an edge whole to
+    the nearer chip, as a sampled replica would, so it loses nothing; other taps split it (linear
+    interpolation), so that discriminators stay smooth when the sampling rate is a multiple of the
+    chip rate.
+    """
+    turn = complex(math.cos(2.0 * math.pi * phase_cycles), -math.sin(2.0 * math.pi * phase_cycles))
     reference = packed[base]
     for t in range(taps_chips.size):
         first = start - taps_chips[t] * entries_per_chip
         sum_real = 0.0
         sum_imag = 0.0
         if taps_chips[t] == 0.0:
-            for k in range(runs + 1):
+            for k in range(edges.size):
                 index = np.uint64(base + np.int32(first + edges[k] * entries_per_chip + 0.5))
                 value = packed[index] - reference
                 q_whole = np.int32(value)
                 i = np.float64(np.int32((value - q_whole) >> 32))
                 q = np.float64(q_whole)
-                sum_real += i * step_real[k] - q * step_imag[k]
-                sum_imag += i * step_imag[k] + q * step_real[k]
+                sum_real += i * steps_real[k] - q * steps_imag[k]
+                sum_imag += i * steps_imag[k] + q * steps_real[k]
         else:
-            for k in range(runs + 1):
+            for k in range(edges.size):
                 entry = first + edges[k] * entries_per_chip
                 whole = np.int32(entry)
                 fraction = entry - whole
                 index = np.uint64(base + whole)
-                lower = packed[index] - reference
-                upper = packed[index + np.uint64(1)] - reference
+                before = packed[index]
+                lower = before - reference
+                ahead = packed[index + np.uint64(1)] - before
                 lower_q = np.int32(lower)
-                upper_q = np.int32(upper)
+                ahead_q = np.int32(ahead)
                 lower_i = np.int32((lower - lower_q) >> 32)
-                upper_i = np.int32((upper - upper_q) >> 32)
-                i = lower_i + fraction * (np.float64(upper_i) - lower_i)
-                q = lower_q + fraction * (np.float64(upper_q) - lower_q)
-                sum_real += i * step_real[k] - q * step_imag[k]
-                sum_imag += i * step_imag[k] + q * step_real[k]
-        out[t] = complex(sum_real, sum_imag)
+                ahead_i = np.int32((ahead - ahead_q) >> 32)
+                i = lower_i + fraction * np.float64(ahead_i)
+                q = lower_q + fraction * np.float64(ahead_q)
+                sum_real += i * steps_real[k] - q * steps_imag[k]
+                sum_imag += i * steps_imag[k] + q * steps_real[k]
+        out[t] = turn * complex(sum_real, sum_imag)
 
 
 @kernel
@@ -213,23 +230,37 @@ def correlate_periods(
 ) -> None:
     """Correlate out.shape[0] code periods under one command, after `skip` that follow it.
 
-    `first` is the sample of packed[0]. Sums stand between samples, so that sample n fills
-    [n − ½, n + ½): chip edges are shifted by half a sample to look them up.
+    The phasors of one code period serve its neighbours as long as the carrier moves by less than
+    1 Hz (0.0005 cycle at a period's ends). `first` is the sample of packed[0]. Sums stand between
+    samples, so that sample n fills [n − ½, n + ½): chip edges are shifted by half a sample to look
+    them up.
     """
     length = edges[edges.size - 1]
     margin = 4 + int(np.max(np.abs(taps_chips)) * sample_rate_hz / command.code_hz)
+    real = np.empty(signs.size)
+    imag = np.empty(signs.size)
+    steps_real = np.empty(edges.size)
+    steps_imag = np.empty(edges.size)
+    # Counted from the command on, so that it does not matter where blocks of samples end.
+    moved_hz = abs(command.carrier_hzps) * length / command.code_hz
+    sharing = int(max(1.0, min(2.0 * _SHARED_HZ / max(moved_hz, 1e-9), _SHARED_PERIODS)))
+    shared = -1
     for period in range(out.shape[0]):
+        if (skip + period) // sharing != shared:
+            shared = (skip + period) // sharing
+            ahead = ((shared + 0.5) * sharing * length - command.code_chips) / command.code_hz
+            hz = command.carrier_hz + command.carrier_hzps * ahead
+            cycles_per_chip = hz / (command.code_hz + command.code_hzps * ahead)
+            run_phasors(edges, signs, cycles_per_chip, real, imag, steps_real, steps_imag)
         chips = (skip + period) * length - command.code_chips
         t = chips / command.code_hz
         t = chips / (command.code_hz + 0.5 * command.code_hzps * t)
         t = chips / (command.code_hz + 0.5 * command.code_hzps * t)
         middle = t + 0.5 * length / command.code_hz
         chip_rate = command.code_hz + command.code_hzps * middle
-        carrier_hz = command.carrier_hz + command.carrier_hzps * middle
         at_middle = command.carrier_cycles + middle * (
             command.carrier_hz + 0.5 * command.carrier_hzps * middle
         )
-        cycles_per_chip = carrier_hz / chip_rate
         whole = int(t * sample_rate_hz) - margin
         base = (command.sample + whole - first) // step
         behind = first + base * step - command.sample
@@ -239,9 +270,9 @@ def correlate_periods(
             (t * sample_rate_hz + 0.5 - behind) / step,
             sample_rate_hz / (chip_rate * step),
             edges,
-            signs,
-            at_middle - 0.5 * length * cycles_per_chip,
-            cycles_per_chip,
+            steps_real,
+            steps_imag,
+            at_middle - math.floor(at_middle),
             taps_chips,
             out[period],
         )

@@ -94,9 +94,12 @@ def test_wide_samples_mixed_from_an_intermediate_frequency(doppler_hz: float) ->
     assert abs(phase_deg) < 0.2
 
 
-@pytest.mark.parametrize("doppler_hzps", [0.0, 5000.0, -5000.0])
+@pytest.mark.parametrize("doppler_hzps", [0.0, 100.0, 290.0, 5000.0, -5000.0])
 def test_a_command_carries_its_frequency_rate_through_all_periods(doppler_hzps: float) -> None:
-    """Twenty periods of 100 g under one command: every one as by brute force."""
+    """Twenty periods of up to 100 g under one command: every one as by brute force.
+
+    Neighbours share the phasors of their runs, whichever of them are asked for together.
+    """
     info = stream(2.6e6)
     truth = signal_command(
         5, doppler_hz=2500.0, code_chips=-1.0, carrier_cycles=3.3, doppler_hzps=doppler_hzps
@@ -111,6 +114,9 @@ def test_a_command_carries_its_frequency_rate_through_all_periods(doppler_hzps: 
             loss_db, phase_deg = _loss_and_phase(seen[period, tap], wanted[period, tap])
             assert abs(loss_db) < 0.01
             assert abs(phase_deg) < 0.2
+    sums = running_sums(block, CARRIER_HZ)
+    pieces = [correlate(sums, truth, RUNS, taps, 3, skip=3 * k) for k in range(6)]
+    assert np.array_equal(np.concatenate(pieces), seen[:18])
 
 
 def test_phase_and_delay_of_a_period_are_those_of_its_command() -> None:
