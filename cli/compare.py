@@ -17,7 +17,6 @@ from deepgnss.core.records import NavData
 from deepgnss.evaluate.comparison import (
     Comparison,
     Yardstick,
-    read_sections,
 )
 from deepgnss.evaluate.comparison import (
     compare as held_against,
@@ -26,6 +25,7 @@ from deepgnss.evaluate.comparison_outputs import FILES, write_comparison
 from deepgnss.evaluate.comparison_tables import Sheet, sheets
 from deepgnss.evaluate.metrics import GROSS_M
 from deepgnss.evaluate.observations import read_observations
+from deepgnss.evaluate.positions import read_sections
 from deepgnss.evaluate.rtk import MODES, RIGHT_M
 from deepgnss.evaluate.sources import Source, read_reference, read_source
 from deepgnss.io.folder import prepare_folder

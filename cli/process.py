@@ -327,6 +327,7 @@ def _draw(config: Config, folder: Path, name: str) -> Evaluation | None:
     """Overview picture and report, and errors where there is a truth."""
     from deepgnss.evaluate.errors import errors, evaluate, write_errors, write_statistics
     from deepgnss.evaluate.overview import draw_overview, read_run
+    from deepgnss.evaluate.positions import read_sections
     from deepgnss.evaluate.report.run import write_run_report
     from deepgnss.io.truth import read_truth
 
@@ -339,5 +340,6 @@ def _draw(config: Config, folder: Path, name: str) -> Evaluation | None:
         write_errors(folder / "errors.csv", found)
         write_statistics(folder / "statistics.csv", evaluation)
     draw_overview(folder / "overview.png", run, truth)
-    write_run_report(folder)
+    told = config.truth.sections if config.truth is not None else None
+    write_run_report(folder, read_sections(told) if told is not None else ())
     return evaluation

@@ -274,22 +274,3 @@ def _clock(single: pd.DataFrame) -> Clock:
         (total_m - median_m).abs().median()
     )  # jumps of a channel are no noise
     return Clock(median_m, spread_m, len(total_m))
-
-
-def read_sections(path: Path) -> tuple[Section, ...]:
-    """Read sections of the way: CSV with name, from_tow_s, to_tow_s.
-
-    Raises InputFileError: it cannot be read, or a column is missing.
-    """
-    try:
-        frame = pd.read_csv(path)
-        return tuple(
-            Section(str(name), float(start), float(end))
-            for name, start, end in zip(
-                frame["name"], frame["from_tow_s"], frame["to_tow_s"], strict=True
-            )
-        )
-    except (OSError, ValueError, KeyError) as error:
-        raise InputFileError(
-            f"{path}: not a CSV of name, from_tow_s, to_tow_s: {str(error).splitlines()[0]}"
-        ) from error

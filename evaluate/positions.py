@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from deepgnss.core.constants import SECONDS_PER_WEEK
+from deepgnss.core.errors import InputFileError
 from deepgnss.core.records import FloatArray
 from deepgnss.evaluate.errors import errors
 from deepgnss.evaluate.metrics import GROSS_M
@@ -26,6 +28,25 @@ class Section(NamedTuple):
     name: str
     from_tow_s: float
     to_tow_s: float
+
+
+def read_sections(path: Path) -> tuple[Section, ...]:
+    """Read sections of the way: CSV with name, from_tow_s, to_tow_s.
+
+    Raises InputFileError: it cannot be read, or a column is missing.
+    """
+    try:
+        frame = pd.read_csv(path)
+        return tuple(
+            Section(str(name), float(start), float(end))
+            for name, start, end in zip(
+                frame["name"], frame["from_tow_s"], frame["to_tow_s"], strict=True
+            )
+        )
+    except (OSError, ValueError, KeyError) as error:
+        raise InputFileError(
+            f"{path}: not a CSV of name, from_tow_s, to_tow_s: {str(error).splitlines()[0]}"
+        ) from error
 
 
 class Figures(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,13 +19,21 @@ from deepgnss.core.time import GpsTime
 from deepgnss.evaluate.errors import read_solution
 from deepgnss.evaluate.metrics import GROSS_M
 from deepgnss.evaluate.outages import GOOD_M
+from deepgnss.evaluate.positions import Section, read_sections
 from deepgnss.evaluate.report.axes import linear
 from deepgnss.evaluate.report.chart import figure
 from deepgnss.evaluate.report.error_charts import AXES, over_time, scatter, shares
 from deepgnss.evaluate.report.html import Html, Part, document, element
 from deepgnss.evaluate.report.signals import strengths, strips
 from deepgnss.evaluate.report.sky import sky
-from deepgnss.evaluate.report.stretches import Outage, outages, stretches
+from deepgnss.evaluate.report.stretches import (
+    Outage,
+    equal,
+    named,
+    outages,
+    stretches,
+    write_sections,
+)
 from deepgnss.evaluate.report.style import STYLE
 from deepgnss.evaluate.report.tables import clock, metres, percent, seconds, table, tiles
 from deepgnss.evaluate.report.track import Mapped, Way, track
@@ -34,6 +42,9 @@ from deepgnss.io.output import write_whole
 
 NAME: Final = "report.html"
 """Of the file."""
+
+SECTIONS: Final = "sections.csv"
+"""What each section of the way came to."""
 
 _MOST_OUTAGES: Final = 30  # told; the longest ones
 
@@ -50,6 +61,7 @@ class RunFiles:
     statistics: pd.DataFrame | None
     summary: Mapping[str, Any]
     start_s: float  # of the recording, GPST seconds since its epoch; 0: never known
+    sections: tuple[Section, ...] = ()  # of the way
 
 
 def read_run_files(folder: Path) -> RunFiles:
@@ -72,13 +84,25 @@ def read_run_files(folder: Path) -> RunFiles:
             frame["s"] = _absolute(frame) - start_s
     channels["s"] = channels["recording_s"]
     name = str(summary.get("recording") or folder.resolve().name)
-    return RunFiles(name, solution, satellites, channels, errors, statistics, summary, start_s)
+    told = folder / SECTIONS
+    sections = read_sections(told) if told.is_file() else ()
+    return RunFiles(
+        name, solution, satellites, channels, errors, statistics, summary, start_s, sections
+    )
 
 
-def write_run_report(folder: Path) -> Path:
-    """Write report.html into the folder of a finished run; returns its path."""
+def write_run_report(folder: Path, sections: tuple[Section, ...] = ()) -> Path:
+    """Write report.html into the folder of a finished run; returns its path.
+
+    Parameters: sections, of the way: sections.csv is written as well; none: what it holds counts.
+    """
+    run = read_run_files(folder)
+    if sections:
+        run = replace(run, sections=sections)
+        found = stretches(run.solution, run.errors, named(sections, run.start_s))
+        write_sections(folder / SECTIONS, found, run.start_s)
     path = folder / NAME
-    write_whole(path, run_page(read_run_files(folder)))
+    write_whole(path, run_page(run))
     return path
 
 
@@ -235,15 +259,21 @@ def _geometry(run: RunFiles, dark: list[tuple[float, float]]) -> Part:
 
 
 def _stretches(run: RunFiles) -> Part:
-    found = stretches(run.solution, run.errors)
+    if not len(run.solution):
+        return None
+    spans = equal(float(run.solution["s"].max()))
+    if run.sections:
+        spans = named(run.sections, run.start_s)
+    found = stretches(run.solution, run.errors, spans)
     if not found:
         return None
-    head = ["stretch", "with a position", "satellites"]
+    head = ["stretch", "epochs", "with a position", "satellites"]
     head += ["half within", "95 % within", "largest"] if run.errors is not None else []
     rows = []
     for one in found:
         row = [
-            f"{clock(one.start_s)} – {clock(one.end_s)}",
+            f"{one.name} {clock(one.start_s)} – {clock(one.end_s)}".strip(),
+            str(one.epochs),
             percent(one.fixed_share),
             f"{one.satellites:.1f}" if math.isfinite(one.satellites) else "–",
         ]

@@ -1,17 +1,22 @@
-"""A run cut into stretches of equal length, and its outages, each in figures."""
+"""A run cut into stretches, by name or of equal length, and its outages, each in figures."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from deepgnss.core.constants import SECONDS_PER_WEEK
 from deepgnss.core.records import FloatArray
 from deepgnss.evaluate.outages import GOOD_M
+from deepgnss.evaluate.positions import Section
+from deepgnss.io.output import write_whole
+from deepgnss.io.tables import number
 
 _MOST: Final = 12
 _LENGTHS_S: Final = (5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600)
@@ -20,8 +25,10 @@ _LENGTHS_S: Final = (5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600)
 class Stretch(NamedTuple):
     """What a stretch of time came to; NaN where there is nothing. Errors are horizontal."""
 
+    name: str
     start_s: float
     end_s: float
+    epochs: int
     fixed_share: float
     satellites: float  # mean, per position
     p50_m: float
@@ -41,35 +48,70 @@ class Outage(NamedTuple):
     good_s: float  # from its end to the first position within GOOD_M; NaN: not before the next
 
 
-def stretches(solution: pd.DataFrame, errors: pd.DataFrame | None) -> list[Stretch]:
-    """At most twelve stretches of a round length.
+class Span(NamedTuple):
+    """A time of the run, s since the recording's start."""
+
+    name: str
+    start_s: float
+    end_s: float
+
+
+def named(sections: Sequence[Section], start_s: float) -> list[Span]:
+    """Sections of the way as times of the run.
+
+    Parameters: start_s, of the recording, GPST since its epoch.
+    """
+    half = SECONDS_PER_WEEK / 2.0
+    return [
+        Span(one.name, *((t - start_s + half) % SECONDS_PER_WEEK - half for t in one[1:]))
+        for one in sections
+    ]
+
+
+def equal(end_s: float) -> list[Span]:
+    """At most twelve stretches of one round length, which are their times."""
+    length_s = next((x for x in _LENGTHS_S if end_s / x <= _MOST), _LENGTHS_S[-1])
+    starts = np.arange(0.0, end_s + 1e-6, length_s).tolist()
+    return [Span("", start_s, start_s + length_s) for start_s in starts]
+
+
+def stretches(
+    solution: pd.DataFrame, errors: pd.DataFrame | None, spans: Sequence[Span]
+) -> list[Stretch]:
+    """What the run came to in each of the times that hold an epoch.
 
     Parameters: solution, errors: with `s`, time since the start of the recording.
     """
-    if not len(solution):
-        return []
-    end_s = float(solution["s"].max())
-    length_s = next((x for x in _LENGTHS_S if end_s / x <= _MOST), _LENGTHS_S[-1])
     found = []
-    for start_s in np.arange(0.0, end_s + 1e-6, length_s).tolist():
-        until_s = start_s + length_s
-        own = _between(solution, start_s, until_s)
+    for span in spans:
+        own = _between(solution, span.start_s, span.end_s)
         if not len(own):
             continue
         valid = own["valid"] == 1
         sizes = np.zeros(0)
         if errors is not None:
-            sizes = _between(errors, start_s, until_s)["horizontal_m"].dropna().to_numpy()
+            sizes = _between(errors, span.start_s, span.end_s)["horizontal_m"].dropna().to_numpy()
         found.append(
             Stretch(
-                start_s,
-                until_s,
+                *span,
+                len(own),
                 float(valid.mean()),
                 float(own["used"][valid].mean()) if valid.any() else math.nan,
                 *(_percentile(sizes, share) for share in (50.0, 95.0, 100.0)),
             )
         )
     return found
+
+
+def write_sections(path: Path, found: Sequence[Stretch], start_s: float) -> None:
+    """sections.csv: what each named stretch came to; times are GPST of the week."""
+    rows = ["name,from_tow_s,to_tow_s,epochs,fixed_share,satellites,p50_m,p95_m,largest_m"]
+    for one in found:
+        times = (f"{(start_s + t) % SECONDS_PER_WEEK:.3f}" for t in (one.start_s, one.end_s))
+        values = (number(x, 4) for x in one[4:])
+        name = '"' + one.name.replace('"', '""') + '"'
+        rows.append(",".join((name, *times, str(one.epochs), *values)))
+    write_whole(path, "\n".join(rows) + "\n")
 
 
 def _between(frame: pd.DataFrame, start_s: float, end_s: float) -> pd.DataFrame:

@@ -129,6 +129,8 @@ class TruthConfig(Section):
     """Log of the reference."""
     format: Literal["csv", "rtklib_pos", "kfgins_nav"] = "csv"
     """Format of the log."""
+    sections: ExistingFile | None = None
+    """CSV of stretches of the way to tell errors of: name, from_tow_s, to_tow_s (GPST)."""
 
 
 class OscillatorConfig(Section):

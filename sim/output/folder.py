@@ -29,6 +29,8 @@ from deepgnss.sim.output.inertial import (
     write_odometer,
 )
 from deepgnss.sim.output.navbits import write_navbits
+from deepgnss.sim.output.sections import NAME as SECTIONS_FILE
+from deepgnss.sim.output.sections import write_sections
 from deepgnss.sim.output.settings import config_of, recording_name, stream_format
 from deepgnss.sim.output.stations import base_station, perfect_rover, write_observations
 from deepgnss.sim.output.truth import write_ranges, write_truth
@@ -38,7 +40,7 @@ from deepgnss.sim.schema.build import Simulation
 
 FILES: Final = (
     *("rec*.bin", "rec.h5", "config.yaml", "scenario.yaml", "nav.rnx", "base.obs", "rover.obs"),
-    *("truth.csv", "clock.csv", "ranges.csv", "navbits.csv", ODOMETER_FILE),
+    *("truth.csv", "clock.csv", "ranges.csv", "navbits.csv", SECTIONS_FILE, ODOMETER_FILE),
     *INERTIAL_FILES,
 )
 """Names, as shell patterns, of all that is written."""
@@ -136,6 +138,8 @@ def _truths(simulation: Simulation, folder: Path) -> Iterator[File]:
     yield File(folder / "ranges.csv", f"each satellite every {config.truth.ranges:g} s")
     write_navbits(folder / "navbits.csv", scenario)
     yield File(folder / "navbits.csv", "navigation symbols sent")
+    if write_sections(folder / SECTIONS_FILE, simulation):
+        yield File(folder / SECTIONS_FILE, "when it passes what stands along the road")
     write_observations(folder, perfect_rover(config.rover), scenario)
     yield File(folder / "rover.obs", f"RINEX of a perfect rover, {config.rover.interval:g} s")
     if config.base is not None:

@@ -6,6 +6,8 @@ from typing import Any
 
 from deepgnss.io.formats import StreamFormat
 from deepgnss.sim.output.inertial import imu_settings, odometer_settings
+from deepgnss.sim.output.sections import NAME as SECTIONS_FILE
+from deepgnss.sim.output.sections import passages
 from deepgnss.sim.scenario import Stream
 from deepgnss.sim.schema.build import Simulation
 
@@ -48,6 +50,8 @@ def config_of(simulation: Simulation) -> dict[str, Any]:
     if config.odometer is not None and scenario.vehicle.road is not None:
         settings |= odometer_settings()
     settings["truth"] = {"file": "truth.csv", "format": "csv"}
+    if any(passages(simulation)):
+        settings["truth"]["sections"] = SECTIONS_FILE
     if config.oscillator is not None:
         settings["oscillator"] = config.oscillator.model_dump(by_alias=True)
     return settings

@@ -119,7 +119,7 @@ class RayConfig(Section):
         return DecreedRay(satellite, self.amplitude, self.delay, self.doppler, self.start, end)
 
 
-_ROADSIDE = ("tunnel", "footbridge", "viaduct", "canyon", "barrier", "trees")
+ROADSIDE = ("tunnel", "footbridge", "viaduct", "canyon", "barrier", "trees")
 
 
 class ObstacleConfig(Choice):
@@ -193,7 +193,7 @@ def build_surroundings(
         counts[key] += 1
         name = f"{key} {counts[key]}"
         try:
-            if key in _ROADSIDE:
+            if key in ROADSIDE:
                 _stand(one, name, number, site, bodies, rows)
             elif one.wall:
                 bodies.append(one.wall.obstacle(name))

@@ -13,12 +13,19 @@ from click.testing import CliRunner
 from report_pages import HOSTILE, faults, made_up, words
 
 from deepgnss.cli.main import cli
+from deepgnss.evaluate.positions import Section, read_sections
 from deepgnss.evaluate.report.axes import around, linear, logarithmic, time_axis
 from deepgnss.evaluate.report.chart import thinned
 from deepgnss.evaluate.report.html import Html, document, element
 from deepgnss.evaluate.report.run import run_page
 from deepgnss.evaluate.report.signals import strengths
-from deepgnss.evaluate.report.stretches import outages, stretches
+from deepgnss.evaluate.report.stretches import (
+    equal,
+    named,
+    outages,
+    stretches,
+    write_sections,
+)
 
 
 def test_a_page_loads_nothing_and_shows_all_parts() -> None:
@@ -140,11 +147,25 @@ def test_outages_and_what_follows_them() -> None:
 
 def test_stretches_count_what_lies_in_them() -> None:
     run = made_up(60, gap=(20, 26))
-    found = stretches(run.solution, run.errors)
+    found = stretches(run.solution, run.errors, equal(59.0))
     assert [one.start_s for one in found] == [5.0 * k for k in range(12)]
     assert [one.fixed_share for one in found][3:6] == [1.0, 0.0, 0.8]
     assert found[5].largest_m == pytest.approx(9.0, abs=1.5) and np.isnan(found[4].largest_m)
-    assert not stretches(run.solution[:0], None)
+    assert not stretches(run.solution[:0], None, equal(59.0))
+
+
+def test_sections_are_told_by_name_and_read_back(tmp_path: Path) -> None:
+    run = made_up(60, gap=(20, 26))
+    sections = (Section('a "tunnel", long', 1018.0, 1030.0), Section("elsewhere", 5000.0, 5010.0))
+    found = stretches(run.solution, run.errors, named(sections, run.start_s))
+    assert [(one.name, one.start_s, one.epochs, one.fixed_share) for one in found] == [
+        ('a "tunnel", long', 18.0, 12, 0.5)
+    ]
+    write_sections(tmp_path / "sections.csv", found, run.start_s)
+    assert read_sections(tmp_path / "sections.csv") == sections[:1]
+    assert 'a "tunnel", long 0:18 – 0:30' in words(run_page(replace(run, sections=sections)))
+    sunday = named((Section("x", 1.0, 2.0),), 2290 * 604800.0 + 604799.0)  # over the week's end
+    assert (sunday[0].start_s, sunday[0].end_s) == (2.0, 3.0)
 
 
 def test_scales_have_few_round_ticks() -> None:

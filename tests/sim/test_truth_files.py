@@ -24,6 +24,7 @@ from deepgnss.sim.output import write_simulation
 from deepgnss.sim.output.clock import write_clock
 from deepgnss.sim.output.inertial import write_imu
 from deepgnss.sim.output.navbits import write_navbits
+from deepgnss.sim.output.sections import write_sections
 from deepgnss.sim.output.stations import base_station, perfect_rover, write_observations
 from deepgnss.sim.output.truth import write_ranges, write_truth
 from deepgnss.sim.schema import Simulation, build, load_scenario
@@ -297,3 +298,19 @@ def test_obstacles_are_named_where_they_stand(drive: tuple[Path, Simulation]) ->
     elapsed_s = frame["tow"] - 382_256.0
     assert (off == ((elapsed_s >= 55.0) & (elapsed_s < 75.0))).all()
     assert (frame["visible"] == ~off).all()
+
+
+def test_sections_are_when_the_road_passes_obstacles(tmp_path: Path) -> None:
+    simulation = build(load_scenario("urban_short", ()))
+    assert write_sections(tmp_path / "sections.csv", simulation)
+    frame = pd.read_csv(tmp_path / "sections.csv").set_index("name")
+    write_truth(tmp_path / "truth.csv", simulation.scenario, 10.0)
+    truth = read_truth(tmp_path / "truth.csv")
+    assert list(frame.index) == ["trees", "footbridge", "tunnel", "canyon", "viaduct", "barrier"]
+    inside = frame.loc["tunnel"]  # from 370 to 450 m along the road
+    ways_m = [
+        np.linalg.norm(np.diff(truth.r_e_m[truth.tow_s <= tow_s + 1e-6], axis=0), axis=1).sum()
+        for tow_s in (inside["from_tow_s"], inside["to_tow_s"])
+    ]
+    assert ways_m == pytest.approx([370.0, 450.0], abs=2.0)
+    assert not write_sections(tmp_path / "none.csv", build(load_scenario("static", ())))
