@@ -158,7 +158,9 @@ def _map(
 
 
 def _sheet(sheet: Sheet) -> Html:
-    return figure(sheet.title, table(sheet.head, sheet.rows, sheet.words), note=sheet.note or None)
+    return figure(
+        sheet.title, table(sheet.head, sheet.rows, range(sheet.words)), note=sheet.note or None
+    )
 
 
 def _signals(found: Comparison) -> list[Html]:

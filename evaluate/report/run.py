@@ -183,7 +183,7 @@ def _map(run: RunFiles, dark: list[tuple[float, float]]) -> Html:
     places = run.solution[["x_e_m", "y_e_m", "z_e_m"]].to_numpy(np.float64)
     places[run.solution["valid"].to_numpy() != 1] = np.nan
     truth, gross = None, None
-    if run.errors is not None and len(run.errors):
+    if run.errors is not None and "true_x_e_m" in run.errors:
         true_r_e_m = run.errors[["true_x_e_m", "true_y_e_m", "true_z_e_m"]].to_numpy(np.float64)
         truth = Way(run.errors["s"].to_numpy(np.float64), true_r_e_m)
         far = run.errors["s"][run.errors["horizontal_m"] > GROSS_M]
@@ -301,7 +301,7 @@ def _outages(lost: list[Outage], against_truth: bool) -> Html:
     if against_truth:
         note += f" Within {GOOD_M:g} m: how long after the first position."
     note += f" {left} shorter outages are left out." if left else ""
-    return figure("Outages", table(head, rows, words=2), note=note)
+    return figure("Outages", table(head, rows, (0, 1)), note=note)
 
 
 def _why_no_fix(run: RunFiles) -> Html:
@@ -322,7 +322,7 @@ def _why_no_fix(run: RunFiles) -> Html:
         for o in ranked
     ]
     head = ["satellite", "signal", "reached", "peak", "C/N0", "epochs used", "because"]
-    body = table(head, rows, words=3) if rows else element("p", "no satellite searched")
+    body = table(head, rows, (0, 1, 2, 6)) if rows else element("p", "no satellite searched")
     return figure(
         "How far each satellite came, and why no further",
         body,

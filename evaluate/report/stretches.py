@@ -135,7 +135,7 @@ def outages(solution: pd.DataFrame, errors: pd.DataFrame | None) -> list[Outage]
         for a, b in itertools.pairwise(fixed)
         if times[b] - times[a] > 1.5 * interval_s
     ]
-    starts = [*(times[a] for a, _ in ends[1:]), math.inf]
+    untils = [*(float(times[a]) for a, _ in ends), math.inf][1:]  # the next one's start
     return [
         Outage(
             float(times[a] + interval_s),
@@ -144,9 +144,9 @@ def outages(solution: pd.DataFrame, errors: pd.DataFrame | None) -> list[Outage]
             _usual(solution["reason"].iloc[a + 1 : b]),
             int(solution["used"].iloc[a]),
             int(solution["used"].iloc[b]),
-            _good(errors, float(times[b]), float(until)),
+            _good(errors, float(times[b]), until),
         )
-        for (a, b), until in zip(ends, starts, strict=True)
+        for (a, b), until in zip(ends, untils, strict=True)
     ]
 
 

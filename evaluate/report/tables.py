@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from deepgnss.evaluate.report.html import Html, Part, element
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[Part]], words: int = 1) -> Html:
+def table(
+    head: Sequence[str], rows: Sequence[Sequence[Part]], words: Collection[int] = (0,)
+) -> Html:
     """A table; on a phone every row stands as a card of its own.
 
-    Parameters: words, columns from the left that hold words; the others hold numbers.
+    Parameters: words, columns that hold words; the others hold numbers.
     """
-    kinds = [None if k < words else "n" for k in range(len(head))]
+    kinds = [None if k in words else "n" for k in range(len(head))]
     return element(
         "table",
         element("thead", element("tr", *map(_heading, head, kinds))),

@@ -143,6 +143,9 @@ def test_outages_and_what_follows_them() -> None:
     dropped = run.solution[run.solution["valid"] == 1]  # rows that are missing altogether
     (again,) = outages(dropped, run.errors)
     assert (again.lasted_s, again.reason) == (6.0, "no epoch")
+    whole = made_up(gap=(70, 75))
+    assert outages(whole.solution, whole.errors) == []
+    assert "at every epoch from the first to the last" in words(run_page(whole))
 
 
 def test_stretches_count_what_lies_in_them() -> None:
