@@ -47,6 +47,7 @@ _COMMANDS = {
     "report": "Write the page of a finished run again.",
     "compare": "Our runs and logs of other receivers side by side.",
     "regress": "Hold the runs of a suite against limits and an earlier summary.",
+    "analyze": "Error budgets: loops, open loop, discriminators.",
     "reproduce": "Measure the published figures again.",
     "config": "Check, show or explain a configuration.",
 }

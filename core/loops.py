@@ -23,9 +23,9 @@ from scipy.optimize import brentq
 
 from deepgnss.core.records import FloatArray
 
-# Characteristic polynomials in s/ω: order 2 with damping √½; order 3 the Wiener optimum for a
-# random-walk acceleration (Jaffe and Rechtin 1955), the better damped of the usual choices.
-_PROTOTYPES = {1: (1.0, 1.0), 2: (1.0, math.sqrt(2.0), 1.0), 3: (1.0, 2.0, 2.0, 1.0)}
+PROTOTYPES = {1: (1.0, 1.0), 2: (1.0, math.sqrt(2.0), 1.0), 3: (1.0, 2.0, 2.0, 1.0)}
+"""Characteristic polynomials in s/ω: order 2 with damping √½; order 3 the Wiener optimum for a
+random-walk acceleration (Jaffe and Rechtin 1955), the better damped of the usual choices."""
 
 
 class LoopGains(NamedTuple):
@@ -39,7 +39,7 @@ class LoopGains(NamedTuple):
 def _observer(order: int, normalized_frequency: float) -> tuple[FloatArray, FloatArray]:
     """Gain K and transition of the error, states in units of T = 1, for ω·T given."""
     # z − 1 instead of z: with slow loops all poles crowd at 1.
-    poles = np.expm1(np.roots(_PROTOTYPES[order]) * normalized_frequency)
+    poles = np.expm1(np.roots(PROTOTYPES[order]) * normalized_frequency)
     transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])[:order, :order]
     wanted = np.real(np.poly(poles))
     polynomial = np.zeros_like(transition)
@@ -91,7 +91,7 @@ def loop_gains(order: int, bandwidth_hz: float, interval_s: float) -> LoopGains:
     Parameters: one-sided noise bandwidth in Hz; update interval in s.
     Raises ValueError when no natural frequency gives that bandwidth at that interval.
     """
-    if order not in _PROTOTYPES:
+    if order not in PROTOTYPES:
         raise ValueError(f"loop order {order}: 1, 2 or 3")
     target = bandwidth_hz * interval_s
     lower, upper = 0.4 * target, 8.0  # bandwidth / ω lies between 0.25 and 2

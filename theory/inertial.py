@@ -9,14 +9,73 @@ be a random walk there; here it keeps its correlation time.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from deepgnss.core.records import FloatArray, ImuGrade
+from deepgnss.theory.loop_response import OPEN, Loop, Response, drawn_response, white_response
 
 _AXES_N: Final = np.eye(3)
+_NED: Final = ("north", "east", "down")
+
+
+class Source(NamedTuple):
+    """One error of one axis, and how it reaches the velocity along m directions."""
+
+    name: str
+    axis: str  # of the error, in NED
+    white: bool  # noise on the way, not drawn once
+    gain: FloatArray  # (m,) its 1σ or density, signed, m/s over s^order (white: per √Hz more)
+    order: int  # integrations that lead to the velocity
+    correlation_s: float = math.inf  # of what a white noise drives
+
+    def response(self, time_s: FloatArray, loop: Loop = OPEN) -> Response:
+        """What a loop makes of it over time, per unit of gain."""
+        return _response(self.white, self.order, self.correlation_s, loop, time_s.tobytes())
+
+
+@lru_cache(maxsize=256)
+def _response(white: bool, order: int, correlation_s: float, loop: Loop, times: bytes) -> Response:
+    """Units share it, and so do all forces: times are those of `Source.response`."""
+    time_s = np.frombuffer(times, dtype=np.float64)
+    if white:
+        return white_response(loop, order, time_s, correlation_s)
+    return drawn_response(loop, order, time_s)
+
+
+def sources(
+    grade: ImuGrade, f_n_mps2: FloatArray, along_n: FloatArray = _AXES_N
+) -> tuple[Source, ...]:
+    """All errors of a unit at a constant specific force (3,) in NED, T(4.30–4.32), axis by axis.
+
+    Initial errors are the grade's; the vertical velocity's is that of the horizontal ones. A
+    vehicle at rest has f = (0, 0, −g). along_n: unit vectors (m, 3) along which velocity is told.
+    Signs are those of velocity error = estimate − truth for errors of +1σ.
+    """
+    f = np.asarray(f_n_mps2, dtype=np.float64)
+    u = np.asarray(along_n, dtype=np.float64)
+    turned = np.cross(u, f)  # u·(f×φ) = φ·(u×f)
+    tilts = np.array([grade.tilt_rad, grade.tilt_rad, grade.heading_rad])
+    gyro_s, accel_s = grade.gyro_drift_time_s, grade.accel_drift_time_s
+    kinds: tuple[tuple[str, bool, FloatArray, int, float], ...] = (
+        ("initial velocity", False, u * grade.velocity_mps, 0, math.inf),
+        ("initial attitude", False, turned * tilts, 1, math.inf),
+        ("accelerometer bias", False, u * grade.accel_bias_mps2, 1, math.inf),
+        ("accelerometer scale", False, u * f * grade.accel_scale, 1, math.inf),
+        ("gyro bias", False, -turned * grade.gyro_bias_radps, 2, math.inf),
+        ("accelerometer noise", True, u * grade.accel_noise_mps_rts, 0, math.inf),
+        ("accelerometer drift", True, u * grade.accel_drift_mps3_rthz, 1, accel_s),
+        ("gyro noise", True, -turned * grade.gyro_noise_rad_rts, 1, math.inf),
+        ("gyro drift", True, -turned * grade.gyro_drift_radps2_rthz, 2, gyro_s),
+    )
+    return tuple(
+        Source(name, axis, white, gains[:, k], order, correlation_s)
+        for name, white, gains, order, correlation_s in kinds
+        for k, axis in enumerate(_NED)
+    )
 
 
 class Term(NamedTuple):
@@ -33,46 +92,30 @@ def error_growth(
     f_n_mps2: FloatArray,
     time_s: FloatArray,
     along_n: FloatArray = _AXES_N,
+    loop: Loop = OPEN,
 ) -> tuple[Term, ...]:
-    """Each source's share of the errors after times (n,) at constant specific force (3,) in NED.
+    """Each source's share of the errors after times (n,), rising, at constant specific force (3,).
 
-    Initial errors are the grade's; the vertical velocity's is that of the horizontal ones; a
-    position error at the start is left to the caller. A vehicle at rest has f = (0, 0, −g).
-    along_n: unit vectors (m, 3) along which the errors are told; a tilt moves several axes at
-    once, so that what it does along a line of sight does not follow from NED alone.
+    A source's three axes are taken together; a position error at the start is left to the caller.
+    A tilt moves several axes at once, so that what it does along a line of sight does not follow
+    from NED alone: ask for the line itself (`along_n`). With a loop, position is what the loop
+    leaves of it: its phase error in metres.
     """
     t = np.asarray(time_s, dtype=np.float64)
-    f = np.asarray(f_n_mps2, dtype=np.float64)
-    u = np.asarray(along_n, dtype=np.float64)
-    level, turned = np.sum(u**2, axis=1), np.cross(u, f) ** 2  # u·(f×φ) = φ·(u×f)
-    any_axis = turned @ np.ones(3)  # f² across the direction
-    angles = turned @ np.array([grade.tilt_rad, grade.tilt_rad, grade.heading_rad]) ** 2
-    gyro_s, accel_s = grade.gyro_drift_time_s, grade.accel_drift_time_s
-    return (
-        _drawn("initial velocity", grade.velocity_mps**2 * level, 0, t),
-        _drawn("initial attitude", angles, 1, t),
-        _drawn("accelerometer bias", grade.accel_bias_mps2**2 * level, 1, t),
-        _drawn("accelerometer scale", grade.accel_scale**2 * (u**2 @ f**2), 1, t),
-        _drawn("gyro bias", grade.gyro_bias_radps**2 * any_axis, 2, t),
-        _white(
-            "accelerometer noise", grade.accel_noise_mps_rts**2 * level, _power(0), _power(1), t
-        ),
-        _white(
-            "accelerometer drift",
-            grade.accel_drift_mps3_rthz**2 * level,
-            _drift(1, accel_s),
-            _drift(2, accel_s),
-            t,
-        ),
-        _white("gyro noise", grade.gyro_noise_rad_rts**2 * any_axis, _power(1), _power(2), t),
-        _white(
-            "gyro drift",
-            grade.gyro_drift_radps2_rthz**2 * any_axis,
-            _drift(2, gyro_s),
-            _drift(3, gyro_s),
-            t,
-        ),
-    )
+    terms = []
+    every = sources(grade, f_n_mps2, along_n)
+    for north, *others in zip(*(every[k :: len(_NED)] for k in range(len(_NED))), strict=True):
+        response = north.response(t, loop)
+        gain = np.sqrt(np.sum([source.gain**2 for source in (north, *others)], axis=0))
+        terms.append(
+            Term(
+                north.name,
+                north.white,
+                np.outer(response.frequency, gain),
+                np.outer(response.phase, gain),
+            )
+        )
+    return tuple(terms)
 
 
 def total(terms: tuple[Term, ...]) -> tuple[FloatArray, FloatArray]:
@@ -82,44 +125,52 @@ def total(terms: tuple[Term, ...]) -> tuple[FloatArray, FloatArray]:
     return np.sqrt(velocity2), np.sqrt(position2)
 
 
-_Response = Callable[[FloatArray], FloatArray]
+class Sums(NamedTuple):
+    """Errors along one direction over time, (n,), m or m/s, as they may be added up."""
+
+    signed: FloatArray  # what is drawn once, every error at +1σ: T's total of the determined terms
+    largest: FloatArray  # the same with the signs that hurt most
+    drawn: FloatArray  # its 1σ
+    white: FloatArray  # 1σ of the noise on the way: T's total of the others
+
+    @property
+    def sigma(self) -> FloatArray:
+        """1σ of all of it."""
+        return np.hypot(self.drawn, self.white)
 
 
-def _power(order: int) -> _Response:
-    """t^order/order!: an impulse integrated order + 1 times."""
-    factorial = float(np.prod(np.arange(1, order + 1)))
-    return lambda t: np.asarray(t**order / factorial)
+def error_sums(
+    grade: ImuGrade,
+    f_n_mps2: FloatArray,
+    time_s: FloatArray,
+    along_n: FloatArray,
+    loop: Loop = OPEN,
+) -> tuple[Sums, Sums]:
+    """Velocity and position along one direction (3,), summed in the ways T 4.4.4 and 4.5.3 do.
 
+    T adds what is drawn once with signs, every error at its +1σ, and what is noise by squares.
+    """
+    t = np.asarray(time_s, dtype=np.float64)
+    every = sources(grade, f_n_mps2, np.asarray(along_n, dtype=np.float64)[np.newaxis])
+    of_name = {source.name: source.response(t, loop) for source in every[:: len(_NED)]}
+    responses = [of_name[source.name] for source in every]
 
-def _drift(order: int, time_s: float) -> _Response:
-    """e^(−t/T) integrated `order` times; T → ∞ leads to t^order/order!."""
+    def summed(which: str) -> Sums:
+        drawn, white = (
+            np.array(
+                [
+                    source.gain[0] * getattr(response, which)
+                    for source, response in zip(every, responses, strict=True)
+                    if source.white is noise
+                ]
+            )
+            for noise in (False, True)
+        )
+        return Sums(
+            drawn.sum(axis=0),
+            np.abs(drawn).sum(axis=0),
+            np.sqrt(np.sum(drawn**2, axis=0)),
+            np.sqrt(np.sum(white**2, axis=0)),
+        )
 
-    def response(t: FloatArray) -> FloatArray:
-        # ∫₀ᵗ (t − s)^(order−1)/(order−1)!·e^(−s/T) ds by quadrature: closed forms lose digits
-        points, weights = np.polynomial.legendre.leggauss(12)
-        s = 0.5 * t[..., np.newaxis] * (1.0 + points)
-        kernel = _power(order - 1)(t[..., np.newaxis] - s) * np.exp(-s / time_s)
-        return np.asarray(0.5 * t * (kernel @ weights))
-
-    return response
-
-
-def _drawn(name: str, variance: FloatArray, order: int, t: FloatArray) -> Term:
-    """A constant of the given variance (m,) that reaches velocity by t^order/order!."""
-    sigma = np.sqrt(variance)
-    return Term(
-        name, False, np.outer(_power(order)(t), sigma), np.outer(_power(order + 1)(t), sigma)
-    )
-
-
-def _white(
-    name: str, density2: FloatArray, to_velocity: _Response, to_position: _Response, t: FloatArray
-) -> Term:
-    """White noise of squared density (m,) through impulse responses."""
-    points, weights = np.polynomial.legendre.leggauss(12)
-    lags = 0.5 * t[:, np.newaxis] * (1.0 + points)
-
-    def sigma(response: _Response) -> FloatArray:
-        return np.sqrt(np.outer(0.5 * t * (response(lags) ** 2 @ weights), density2))
-
-    return Term(name, True, sigma(to_velocity), sigma(to_position))
+    return summed("frequency"), summed("phase")

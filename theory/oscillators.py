@@ -9,11 +9,7 @@ from __future__ import annotations
 import math
 
 from deepgnss.core.records import Oscillator
-
-# B/ω_L of the loops whose error response is |1 − H|² = ω²ⁿ / (ω²ⁿ + ω_L²ⁿ), the prototypes of
-# core.loops. T gives 0.53 and 0.7845; the latter is of another order-3 loop (a 1.1, b 2.4) whose
-# error response this is only roughly.
-_BANDWIDTH_PER_OMEGA = {2: 3.0 * math.sqrt(2.0) / 8.0, 3: 5.0 / 6.0}
+from deepgnss.theory.loop_response import carrier_loop
 
 
 def allan_deviation(oscillator: Oscillator, tau_s: float) -> float:
@@ -88,8 +84,9 @@ def allan_phase_sigma_cycles(carrier_hz: float, coherent_s: float, deviation: fl
 def _residual_sigma_cycles(
     order: int, bandwidth_hz: float, carrier_hz: float, h: tuple[float, float, float]
 ) -> float:
-    # ∫ ω^(p−1)/(ω²ⁿ + ω_L²ⁿ) dω over ω > 0 is π / (2n·sin(p·π/2n)) · ω_L^(p − 2n)
-    omega = bandwidth_hz / _BANDWIDTH_PER_OMEGA[order]
+    # Error responses of the prototypes are |1 − H|² = ω²ⁿ / (ω²ⁿ + ω_L²ⁿ), and
+    # ∫ ω^(p−1)/(ω²ⁿ + ω_L²ⁿ) dω over ω > 0 is π / (2n·sin(p·π/2n)) · ω_L^(p − 2n).
+    omega = carrier_loop(order, bandwidth_hz).omega_radps
     variance = 0.0
     for k, coefficient in enumerate(h):
         power = 2 * order - 1 - k
