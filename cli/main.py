@@ -44,6 +44,7 @@ _COMMANDS = {
     "ins": "Couple an inertial log and a GNSS solution.",
     "simulate": "Make a recording with known truth.",
     "batch": "Process many drives, side by side.",
+    "slips": "Cycle slips between two antennas by an INS: found, repaired.",
     "report": "Write the page of a finished run again.",
     "compare": "Our runs and logs of other receivers side by side.",
     "regress": "Hold the runs of a suite against limits and an earlier summary.",

@@ -7,13 +7,15 @@ baseline is the case of the same antenna.
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
-from deepgnss.core.records import FloatArray, NavData
+from deepgnss.core.records import Ephemeris, FloatArray, NavData
 from deepgnss.core.time import GpsTime
 from deepgnss.evaluate.observables import error_table, week_seconds
 from deepgnss.io.truth import Trajectory
@@ -39,19 +41,10 @@ def modelled_errors(
     """
     if observed.empty:
         return pd.DataFrame(columns=list(_COLUMNS))
-    week = int(observed["week"].iloc[0])
-    frame = observed.assign(_s=week_seconds(observed, week)).sort_values(
-        ["satellite", "_s"], kind="stable", ignore_index=True
+    seen = sights(observed, antenna, nav)
+    return error_table(
+        seen.frame, seen.range_m, seen.range_m, np.degrees(seen.elevation_rad), seen.clock_s
     )
-    size = len(frame)
-    range_m, elevation_rad, clock_s = (np.full(size, np.nan) for _ in range(3))
-    for _, rows in frame.groupby("_s", sort=True):
-        place = rows.index.to_numpy()
-        time = GpsTime(int(rows["week"].iloc[0]), float(rows["tow_s"].iloc[0]))
-        found = _epoch(rows, time, antenna, nav)
-        if found is not None:
-            range_m[place], elevation_rad[place], clock_s[place] = found
-    return error_table(frame, range_m, range_m, np.degrees(elevation_rad), clock_s)
 
 
 _COLUMNS: Final = (
@@ -60,33 +53,74 @@ _COLUMNS: Final = (
 )
 
 
-def _epoch(
-    rows: pd.DataFrame, time: GpsTime, antenna: Trajectory | FloatArray, nav: NavData
-) -> tuple[FloatArray, FloatArray, float] | None:
-    """Pseudoranges, elevations and the clock error of an epoch; None where nothing is known."""
-    chosen = [orbits.select(nav, str(name), time) for name in rows["satellite"]]
-    known = [k for k, ephemeris in enumerate(chosen) if ephemeris is not None]
-    ephemerides = [ephemeris for ephemeris in chosen if ephemeris is not None]
-    measured_m = rows["pseudorange_m"].to_numpy(np.float64)
-    if not np.isfinite(measured_m[known]).any():
-        return None
-    range_m, elevation_rad = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
-    clock_s = 0.0
+class Sights(NamedTuple):
+    """What every observation should be, row by row; NaN where orbit or place are not known."""
+
+    frame: pd.DataFrame  # the observations by satellite and time, `week_seconds` as `_s`
+    range_m: FloatArray  # (k,) pseudorange without atmosphere and receiver clock
+    unit_e: FloatArray  # (k, 3) from antenna to satellite
+    elevation_rad: FloatArray  # (k,)
+    clock_s: FloatArray  # (k,) of the receiver, 0 where not known
+
+
+def sights(observed: pd.DataFrame, antenna: Trajectory | FloatArray, nav: NavData) -> Sights:
+    """Ranges at the instants the epochs were truly taken at, by each epoch's own clock error.
+
+    Parameters: as of `modelled_errors`, of which week, tow_s, satellite, pseudorange_m are used.
+    """
+    week = int(observed["week"].iloc[0])
+    frame = observed.assign(_s=week_seconds(observed, week)).sort_values(
+        ["satellite", "_s"], kind="stable", ignore_index=True
+    )
+    size = len(frame)
+    range_m, elevation_rad = np.full(size, np.nan), np.full(size, np.nan)
+    unit_e, clock_s = np.full((size, 3), np.nan), np.zeros(size)
+    groups = frame.groupby("_s", sort=True).indices.values()
+    epochs = [_epoch_of(frame, np.asarray(rows), nav) for rows in groups]
+    clocks_s = np.zeros(len(epochs))
     for _ in range(_ROUNDS):
-        there = time.plus(-clock_s)
-        r_e_m = _place(antenna, there)
-        if not np.isfinite(r_e_m).all():
-            return None
-        seen = orbits.predict(ephemerides, there, r_e_m, np.zeros(3))
-        range_m[known], elevation_rad[known] = seen.pseudorange_m, seen.elevation_rad
-        clock_s = float(np.nanmedian(measured_m - range_m)) / SPEED_OF_LIGHT_MPS
-    return range_m, elevation_rad, clock_s
+        times = [epoch.time.plus(-late) for epoch, late in zip(epochs, clocks_s, strict=True)]
+        for k, (epoch, time, r_e_m) in enumerate(
+            zip(epochs, times, _places(antenna, times), strict=True)
+        ):
+            if not (epoch.rows.size and np.isfinite(r_e_m).all()):
+                range_m[epoch.rows] = np.nan  # a clock's error may have led out of the way known
+                continue
+            seen = orbits.predict(epoch.ephemerides, time, r_e_m, np.zeros(3))
+            late_m = epoch.pseudorange_m - seen.pseudorange_m
+            if not np.isfinite(late_m).any():
+                continue
+            clocks_s[k] = float(np.nanmedian(late_m)) / SPEED_OF_LIGHT_MPS
+            range_m[epoch.rows], elevation_rad[epoch.rows] = seen.pseudorange_m, seen.elevation_rad
+            unit_e[epoch.rows], clock_s[epoch.rows] = seen.sight.unit_e, clocks_s[k]
+    return Sights(frame, range_m, unit_e, elevation_rad, clock_s)
 
 
-def _place(antenna: Trajectory | FloatArray, time: GpsTime) -> FloatArray:
+class _Epoch(NamedTuple):
+    """Observations of an instant whose satellites have an orbit."""
+
+    time: GpsTime
+    rows: NDArray[np.int64]
+    ephemerides: list[Ephemeris]
+    pseudorange_m: FloatArray
+
+
+def _epoch_of(frame: pd.DataFrame, rows: NDArray[np.int64], nav: NavData) -> _Epoch:
+    first = frame.iloc[rows[0]]
+    time = GpsTime(int(first["week"]), float(first["tow_s"]))
+    chosen = [orbits.select(nav, str(name), time) for name in frame["satellite"].iloc[rows]]
+    known = rows[[k for k, ephemeris in enumerate(chosen) if ephemeris is not None]]
+    ephemerides = [ephemeris for ephemeris in chosen if ephemeris is not None]
+    measured_m = frame["pseudorange_m"].iloc[known].to_numpy(np.float64)
+    return _Epoch(time, known, ephemerides, measured_m)
+
+
+def _places(antenna: Trajectory | FloatArray, times: Sequence[GpsTime]) -> FloatArray:
+    """Antenna at instants, (n, 3)."""
     if isinstance(antenna, Trajectory):
-        return np.asarray(antenna.at(time.week, time.tow_s)[0][0])
-    return antenna
+        weeks, tows_s = zip(*times, strict=True)
+        return antenna.at(np.array(weeks, np.int64), np.array(tows_s))[0]
+    return np.tile(antenna, (len(times), 1))
 
 
 def between(rover: pd.DataFrame, base: pd.DataFrame) -> pd.DataFrame:

@@ -47,6 +47,19 @@ class ObsFile:
     position_e_m: FloatArray | None
     interval_s: float | None
     codes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # by system letter
+    lines: NDArray[np.int64] = field(  # first line of each row, from 0
+        default_factory=lambda: np.zeros(0, np.int64)
+    )
+
+    def place(self, system: str, code: str) -> tuple[int, int]:
+        """Where the field of an observation (F14.3, I1, I1) begins: lines after the first, column.
+
+        code: as in `codes`.
+        """
+        if self.version < 3.0:
+            number = self.codes[""].index(code)
+            return number // 5, _FIELD * (number % 5)
+        return 0, 3 + _FIELD * self.codes[system].index(code)
 
 
 class _Epoch(NamedTuple):
@@ -77,7 +90,7 @@ def read_obs(path: Path | str, systems: str | None = None) -> ObsFile:
         epochs = epochs_of(lines, len(header), codes)
     except _LineError as error:
         raise InputFileError(f"{path}: {error}") from error
-    frame = _frame(path, text, epochs, codes, version, systems, shift_s)
+    frame, lines_of_rows = _frame(path, text, epochs, codes, version, systems, shift_s)
     values = {h.label: h.content for h in header}
     return ObsFile(
         frame=frame,
@@ -85,6 +98,7 @@ def read_obs(path: Path | str, systems: str | None = None) -> ObsFile:
         position_e_m=_position(values.get("APPROX POSITION XYZ", "")),
         interval_s=_first_float(values.get("INTERVAL", "")),
         codes={system: tuple(names) for system, names in codes.items()},
+        lines=lines_of_rows,
     )
 
 
@@ -262,7 +276,7 @@ def _frame(
     version: float,
     systems: str | None,
     shift_s: float,
-) -> pd.DataFrame:
+) -> tuple[pd.DataFrame, _Indices]:
     sizes = [len(epoch.satellites) for epoch in epochs]
     times = [epoch.time.plus(shift_s) for epoch in epochs]
     satellites = np.array([name for epoch in epochs for name in epoch.satellites], dtype="U3")
@@ -302,8 +316,9 @@ def _frame(
         }
     )
     if systems is None:
-        return frame
-    return frame[np.isin(letters, list(systems))].reset_index(drop=True)
+        return frame, first_lines
+    wanted = np.isin(letters, list(systems))
+    return frame[wanted].reset_index(drop=True), first_lines[wanted]
 
 
 def _characters(data: _Bytes, start: _Indices, end: _Indices) -> _Bytes:

@@ -7,7 +7,7 @@ file gives the IMU, and becomes the antenna's with a lever arm and the attitude 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,8 +17,10 @@ import pymap3d
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
+from deepgnss.core.attitude import matrix_from_euler
 from deepgnss.core.constants import SECONDS_PER_WEEK
 from deepgnss.core.errors import InputFileError
+from deepgnss.core.frames import C_ne
 from deepgnss.core.records import FloatArray
 from deepgnss.core.time import GpsTime
 from deepgnss.io.input import reading
@@ -60,6 +62,20 @@ class Trajectory:
         weeks = np.asarray(week, dtype=np.int64) - self.week[0]
         seconds: FloatArray = np.asarray(tow_s) - self.tow_s[0] + weeks * float(SECONDS_PER_WEEK)
         return seconds
+
+    def of_point(self, arm_b_m: Sequence[float]) -> Trajectory:
+        """The way of a point of the body at an arm from this one (FRD), without velocities.
+
+        Two points of a body then are interpolated alike: between samples they keep their distance.
+
+        Raises InputFileError: the trajectory has no attitude.
+        """
+        if self.attitude_rad is None:
+            raise InputFileError("no attitude in the trajectory: a point of its body has no place")
+        lat, lon, _ = pymap3d.ecef2geodetic(*self.r_e_m.T, deg=False)
+        arm_n = matrix_from_euler(self.attitude_rad) @ np.asarray(arm_b_m, dtype=np.float64)
+        arm_e = np.einsum("kji,kj->ki", C_ne(np.asarray(lat), np.asarray(lon)), arm_n)
+        return replace(self, r_e_m=self.r_e_m + arm_e, v_e_mps=None)
 
     def at(
         self, week: NDArray[np.int64] | int, tow_s: FloatArray | float
@@ -130,29 +146,21 @@ def _trajectory(
 ) -> Trajectory:
     lat, lon = np.radians(frame["lat_deg"].to_numpy()), np.radians(frame["lon_deg"].to_numpy())
     position = pymap3d.geodetic2ecef(lat, lon, frame["height_m"].to_numpy(), deg=False)
-    r_e_m: FloatArray = np.column_stack(position)
-    to_e = _rotations_en(lat, lon)
     attitude = _columns(frame, "roll_deg", "pitch_deg", "heading_deg")
     attitude_rad = None if attitude is None else np.radians(attitude)
     velocity = _columns(frame, "vn_mps", "ve_mps", "vd_mps")
     # Where positions of the IMU stand beside the antenna's, the velocity is the IMU's.
-    same_point = "imu_lat_deg" not in frame
-    if is_imu and lever_arm_m is not None:
-        if attitude_rad is None:
-            raise InputFileError("truth of an IMU without attitude: no antenna position from it")
-        arm_n = _rotations_nb(attitude_rad) @ np.asarray(lever_arm_m, dtype=np.float64)
-        r_e_m = r_e_m + np.einsum("kij,kj->ki", to_e, arm_n)
-        same_point = False
     v_e_mps = None
-    if velocity is not None and same_point:
-        v_e_mps = np.einsum("kij,kj->ki", to_e, velocity)
-    return Trajectory(
+    if velocity is not None and "imu_lat_deg" not in frame:
+        v_e_mps = np.einsum("kji,kj->ki", C_ne(lat, lon), velocity)
+    found = Trajectory(
         week=frame["week"].to_numpy().astype(np.int64),
         tow_s=frame["tow_s"].to_numpy(),
-        r_e_m=r_e_m,
+        r_e_m=np.column_stack(position),
         v_e_mps=v_e_mps,
         attitude_rad=attitude_rad,
     )
+    return found.of_point(lever_arm_m) if is_imu and lever_arm_m is not None else found
 
 
 def _columns(frame: pd.DataFrame, *names: str) -> FloatArray | None:
@@ -160,25 +168,6 @@ def _columns(frame: pd.DataFrame, *names: str) -> FloatArray | None:
         return None
     values = frame[list(names)].to_numpy(dtype=np.float64)
     return values if np.isfinite(values).all() else None
-
-
-def _rotations_en(lat: FloatArray, lon: FloatArray) -> FloatArray:
-    """n → e of many places, (n, 3, 3): v_e = C_en @ v_n."""
-    sl, cl, so, co = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
-    zero = np.zeros_like(lat)
-    rows = [[-sl * co, -so, -cl * co], [-sl * so, co, -cl * so], [cl, zero, -sl]]
-    return np.moveaxis(np.array(rows), -1, 0)
-
-
-def _rotations_nb(attitude_rad: FloatArray) -> FloatArray:
-    """b → n of many attitudes roll, pitch, yaw (Z-Y-X), (n, 3, 3): v_n = C_nb @ v_b."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(attitude_rad.T), np.cos(attitude_rad.T)
-    rows = [
-        [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
-        [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
-        [-sp, sr * cp, cr * cp],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 # --- formats -------------------------------------------------------------------------------------

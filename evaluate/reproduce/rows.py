@@ -18,6 +18,7 @@ from deepgnss.evaluate.reproduce import (
     multipath,
     open_loop,
     peaks,
+    slips,
     speed,
     turns,
     weak_ranges,
@@ -218,12 +219,14 @@ ROWS: Final = (
         "two antennas 2.5 m apart: slips of 1–3 cycles found / false",
         "95 of 95 / 0",
         "100 % / 0 of 1000",
+        slips.measure_slips,
     ),
     Row(
         "SLIP-ATT",
         "two antennas 1 m apart: attitude error that still finds 1 cycle",
         "1.375° over 1 s",
         "as theory",
+        slips.measure_attitude,
     ),
     Row(
         "SP-CORR",
