@@ -19,7 +19,9 @@ _NARROWEST = 100  # columns of the table where there is no terminal
 
 @click.command()
 @click.argument("suite", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("regress"))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), default=Path("regress"), show_default=True
+)
 @click.option("--baseline", type=click.Path(path_type=Path), help="An earlier summary.json.")
 def regress(suite: Path, output: Path, baseline: Path | None) -> None:
     """Run the recordings and scenarios of SUITE (YAML) and check their metrics.

@@ -24,6 +24,7 @@ from deepgnss.sim.schema import build, load_scenario
 
 _CERTAINTY: Final = 2.0  # σ of a change before it counts: both runs bring their noise
 _EXACT: Final = 1e-9  # relative; of metrics that have no noise
+_UNKNOWN: Final = "not known: too few epochs, or no truth"
 
 Tell = Callable[[str], None]
 
@@ -73,7 +74,8 @@ def regress(
         limits = {**suite.limits, **run.limits}
         for name, limit in limits.items():
             value = found[run.name][name].value
-            checks.append(Check(run.name, f"{name} {limit}", limit.holds(value), f"{value:.6g}"))
+            told = _UNKNOWN if math.isnan(value) else f"{value:.6g}"
+            checks.append(Check(run.name, f"{name} {limit}", limit.holds(value), told))
         if baseline is not None:
             checks += _against(run.name, found[run.name], baseline.get(run.name, {}))
     return Report(suite.name, found, tuple(checks))
@@ -128,7 +130,8 @@ def _against(run: str, now: Mapping[str, Metric], before: Mapping[str, Metric]) 
         was, was_noise = before[name]
         borne = _CERTAINTY * math.hypot(noise, was_noise) + _EXACT * abs(was)
         worse = math.isnan(value) or (is_worse(name, value - was) and abs(value - was) > borne)
-        found = f"{value:.6g}, was {was:.6g} (± {borne:.2g} borne)"
+        told = _UNKNOWN if math.isnan(value) else f"{value:.6g}"
+        found = f"{told}, was {was:.6g} (± {borne:.2g} borne)"
         checks.append(Check(run, f"{name} no worse than before", not worse, found))
     return checks
 

@@ -7,9 +7,11 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from deepgnss.core.errors import ConfigError
 from deepgnss.evaluate.metrics import NAMES
-from deepgnss.io.config import load
+from deepgnss.io.config import load, load_config
 from deepgnss.io.config.quantity import ExistingFile, Section, misfit
+from deepgnss.sim.schema import load_scenario
 
 
 class Limit(Section):
@@ -46,7 +48,7 @@ class RunConfig(Section):
     config: ExistingFile | None = None
     """Configuration of a recording, which it names; or else …"""
     scenario: str | None = None
-    """… a scenario: a file, or a ready one by its name."""
+    """… a scenario: a file, relative to the suite's folder, or a ready one by its name."""
     seeds: Annotated[tuple[int, ...], Field(min_length=1)] = (1,)
     """One run of the scenario each; the metrics are their means."""
     scenario_settings: tuple[str, ...] = ()
@@ -97,5 +99,24 @@ def _require_metrics(limits: dict[str, Limit]) -> None:
 
 
 def load_suite(path: Path) -> SuiteConfig:
-    """Read a suite; raises ConfigError with one line per key at fault."""
-    return load(SuiteConfig, path)
+    """Read a suite, and everything its runs name, before the first of them starts.
+
+    Raises ConfigError with one line per key at fault, of the suite or of what a run names.
+    """
+    suite = load(SuiteConfig, path)
+    runs = tuple(_found(run, path) for run in suite.runs)
+    for run in runs:
+        try:
+            if run.config is not None:
+                load_config(run.config, run.settings)
+            if run.scenario is not None:
+                load_scenario(run.scenario, run.scenario_settings)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: run {run.name}: {error}") from error
+    return suite.model_copy(update={"runs": runs})
+
+
+def _found(run: RunConfig, suite: Path) -> RunConfig:
+    """A run whose scenario, where it is a file, is looked for beside the suite."""
+    beside = suite.parent / (run.scenario or "")
+    return run.model_copy(update={"scenario": str(beside)}) if beside.is_file() else run

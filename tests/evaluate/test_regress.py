@@ -69,8 +69,8 @@ def test_a_metric_that_is_missing_holds_no_limit(
     suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _results(monkeypatch, drive=_metrics(horizontal_rms_m=math.nan), street=_metrics())
-    failed = [c.what for c in regress(load_suite(suite), tmp_path).checks if not c.holds]
-    assert failed == ["horizontal_rms_m ≤ 2"]
+    (failed,) = [c for c in regress(load_suite(suite), tmp_path).checks if not c.holds]
+    assert failed.what == "horizontal_rms_m ≤ 2" and "no truth" in failed.found
 
 
 @pytest.mark.parametrize(
@@ -133,6 +133,13 @@ def test_repetitions_are_averaged_and_their_scatter_is_the_noise() -> None:
         (("name: street", "name: drive"), "names that differ"),
         (("{max: 2.0}", "{min: 3.0, max: 2.0}"), "min below max"),
         (("config: street.yaml", "config: none.yaml"), "none.yaml"),
+        (("config: street.yaml", "scenario: statik"), "run street: statik: neither a file nor"),
+        (("config: street.yaml", "scenario: own.yaml"), "run street: own.yaml: cannot be read"),
+        (
+            ("config: street.yaml", "scenario: static, scenario_settings: [second=9]"),
+            "run street: .*second: unknown key",
+        ),
+        (("config: street.yaml", "config: street.yaml, settings: [star=1]"), "run street: .*star"),
     ],
 )
 def test_a_faulty_suite_is_refused_by_its_key(
@@ -141,6 +148,12 @@ def test_a_faulty_suite_is_refused_by_its_key(
     suite.write_text(_SUITE.replace(*change))
     with pytest.raises(ConfigError, match=said):
         load_suite(suite)
+
+
+def test_a_scenario_s_file_lies_beside_the_suite(suite: Path) -> None:
+    (suite.parent / "own.yaml").write_text("seconds: 5\ntrajectory: {static: {}}\n")
+    suite.write_text(_SUITE.replace("config: street.yaml", "scenario: own.yaml"))
+    assert load_suite(suite).runs[1].scenario == str(suite.parent / "own.yaml")
 
 
 def test_a_baseline_that_is_none_is_one_line(suite: Path, tmp_path: Path) -> None:
