@@ -35,6 +35,7 @@ from deepgnss.receiver.smoothing import HatchState, smooth
 
 _FITS = 0.05  # code periods, 15 km: a channel on another signal fits one time in ten
 _FORETOLD_S = 0.7  # that must be known ahead: a window and more
+_FORETOLD_SYMBOLS = 32  # that settle a half cycle: more than a word, whose sign may be another
 
 
 class Head(NamedTuple):
@@ -242,18 +243,32 @@ class Bank:
         return self.heads
 
     def take_known_polarities(self) -> None:
-        """Settle half cycles by symbols that an earlier pass has decoded."""
+        """Settle half cycles by symbols that an earlier pass has decoded, or that were foretold.
+
+        What was foretold may have been replaced by the satellite: the next head of a subframe has
+        the last word.
+        """
         for channel in self.channels.values():
-            known = self._known.get(channel.satellite)
-            if known is not None and (channel.half_cycle is None or channel.unproven):
-                half_cycle = framing.polarity(channel, known)
+            if channel.half_cycle is not None and not channel.unproven:
+                continue
+            decoded = self._known.get(channel.satellite)
+            if decoded is not None:
+                half_cycle = framing.polarity(channel, decoded)
                 if half_cycle is not None:
                     channel.set_polarity(half_cycle)
+            elif channel.known is not None and channel.mode is Mode.PHASE:
+                half_cycle = framing.polarity(channel, channel.known, _FORETOLD_SYMBOLS)
+                if half_cycle is not None and half_cycle != channel.half_cycle:
+                    channel.set_polarity(half_cycle)
+                    channel.unproven = True
 
     def foretell_symbols(self) -> None:
-        """Tell channels without a phase of their own which symbols come, as far as known."""
+        """Tell channels which symbols come, as far as known: those without a phase, or a polarity.
+
+        A polarity needs the symbols since the subframe's beginning.
+        """
         for prn, channel in self.channels.items():
-            if channel.mode not in (Mode.WEAK, Mode.HOLD) or channel.anchor is None:
+            if channel.anchor is None or not self._needs_symbols(channel):
                 continue
             now = channel.anchor + channel.periods
             ahead = round(_FORETOLD_S / self.signal.period_s)
@@ -274,6 +289,12 @@ class Bank:
                 self.signal.symbol_periods,
             )
             channel.known = told or known
+
+    @staticmethod
+    def _needs_symbols(channel: Channel) -> bool:
+        if channel.mode is Mode.PHASE:
+            return channel.half_cycle is None or channel.unproven
+        return channel.mode in (Mode.WEAK, Mode.HOLD)
 
     # --- observables ---------------------------------------------------------------------------
 

@@ -99,7 +99,7 @@ def known_symbols(channel: Channel) -> KnownSymbols | None:
     return KnownSymbols(channel.anchor + channel.symbols_first, upright)
 
 
-def polarity(channel: Channel, known: KnownSymbols) -> float | None:
+def polarity(channel: Channel, known: KnownSymbols, least: int = _POLARITY_SYMBOLS) -> float | None:
     """Half cycle (0 or ½) of a channel from symbols known before; None while too few overlap."""
     if channel.anchor is None:
         return None
@@ -108,7 +108,7 @@ def polarity(channel: Channel, known: KnownSymbols) -> float | None:
     seen = np.frombuffer(bytes(channel.symbols), dtype=np.int8)[max(0, -offset) :]
     told = np.frombuffer(known.symbols, dtype=np.int8)[max(0, offset) :]
     count = min(seen.size, told.size)
-    if count < _POLARITY_SYMBOLS:
+    if count < least:
         return None
     share = float(np.mean(seen[:count] == told[:count]))
     if share > _POLARITY_SHARE:

@@ -9,8 +9,13 @@ import pytest
 
 from deepgnss.core.constants import SECONDS_PER_WEEK
 from deepgnss.core.time import GpsTime
+from deepgnss.receiver.acquisition import AcquisitionSettings
+from deepgnss.receiver.bank import Bank
+from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.known_symbols import KnownSymbols, Sent, foretold, remembered, signs
 from deepgnss.receiver.messages import MessageFormat
+from deepgnss.receiver.modes import Mode, TrackingSettings
+from deepgnss.receiver.search import SearchSettings
 from deepgnss.receiver.signals import BDS_B1I_D1, BDS_B1I_D2, GPS_L1CA_SIGNAL, Signal
 from deepgnss.sim.constellation import nominal
 from deepgnss.sim.navbits import sent_symbols
@@ -78,3 +83,50 @@ def test_signs_of_symbols_and_their_ends() -> None:
     assert signs(known, 1020, 2, 20) == pytest.approx([-1.0, -1.0])
     assert signs(known, 1020, 4, 20) is None
     assert signs(known, 980, 2, 20) is None
+
+
+@pytest.mark.parametrize(
+    ("signal", "satellite", "back_s"),  # in the first subframe of a frame
+    [(GPS_L1CA_SIGNAL, "G05", 63.5), (BDS_B1I_D1, "C19", 75.5)],
+)
+@pytest.mark.parametrize("inverted", [0, 1])
+def test_foretold_symbols_settle_a_half_cycle_and_the_next_head_has_the_last_word(
+    signal: Signal, satellite: str, back_s: float, inverted: int
+) -> None:
+    """A phase that comes back within a subframe heard before waits for no head of another."""
+    settings, prn = TrackingSettings(), int(satellite[1:])
+    bank = Bank(signal, 4e6, settings, AcquisitionSettings(), SearchSettings(), {})
+    channel = Channel(
+        signal, prn, settings, sample_rate_hz=4e6, sample=0, code_chips=0.0, doppler_hz=0.0
+    )
+    bank.channels[prn] = channel
+    bank._sent[prn] = _heard(signal, satellite, 0.0, 50.0)
+    channel.mode, channel.anchor = Mode.PHASE, _period(back_s)
+    symbols = _bits(signal, satellite, back_s, 1.0) ^ inverted
+    for count, half_cycle in ((31, None), (32, 0.5 * inverted)):
+        channel.periods = count * signal.symbol_periods
+        channel._stream.resume(bytearray(symbols[:count].tobytes()), 0)
+        bank.foretell_symbols()
+        bank.take_known_polarities()
+        assert channel.half_cycle == half_cycle
+    arc = channel.slips
+    assert channel.unproven and arc == inverted  # ½ cycle put on is told as a slip
+    channel.set_polarity(0.5 * inverted)
+    assert not channel.unproven and channel.slips == arc
+    channel.unproven = True
+    channel.set_polarity(0.5 - 0.5 * inverted)
+    assert channel.half_cycle == 0.5 - 0.5 * inverted and channel.slips == arc + 1
+
+
+def test_symbols_of_another_message_settle_nothing() -> None:
+    settings = TrackingSettings()
+    bank = Bank(GPS_L1CA_SIGNAL, 4e6, settings, AcquisitionSettings(), SearchSettings(), {})
+    channel = Channel(
+        GPS_L1CA_SIGNAL, 5, settings, sample_rate_hz=4e6, sample=0, code_chips=0.0, doppler_hz=0.0
+    )
+    bank.channels[5], bank._sent[5] = channel, _heard(GPS_L1CA_SIGNAL, "G05", 0.0, 50.0)
+    channel.mode, channel.anchor, channel.periods = Mode.PHASE, _period(63.5), 1000
+    channel._stream.resume(bytearray(_bits(GPS_L1CA_SIGNAL, "G07", 63.5, 1.0)), 0)
+    bank.foretell_symbols()
+    bank.take_known_polarities()
+    assert channel.half_cycle is None
