@@ -27,11 +27,13 @@ from deepgnss.evaluate.analysis.figures import draw
 from deepgnss.evaluate.analysis.published import AGREEMENT, PublishedFigure, published_figures
 from deepgnss.evaluate.analysis.subject import Subject, subject_of
 from deepgnss.io.config import grade_of, load_config, oscillator_of
+from deepgnss.io.config.receiver import MAX_LOOP_PRODUCT
 from deepgnss.io.folder import prepare_folder
 from deepgnss.io.output import write_whole
 
 _MISSED = 1
 _NARROWEST = 118  # columns of the tables where there is no terminal
+_WIDE = 200
 _LEVELS_DBHZ = tuple(float(x) for x in range(20, 51, 5))
 _PEAKS_DBHZ = tuple(float(x) for x in range(10, 27))
 _CLOSED_S, _OPEN_S, _WINDOWS_S = 1.0, 20.0, 1.0
@@ -46,7 +48,7 @@ _OPTIONS = {
         "--oscillator", help="A name in configs/oscillators, or a YAML file."
     ),
     "signal": click.option("--signal", type=click.Choice(list(SIGNAL_IDS))),
-    "order": click.option("--order", type=click.IntRange(1, 3), help="Order of the carrier loop."),
+    "order": click.option("--order", type=click.IntRange(2, 3), help="Order of the carrier loop."),
     "bandwidth": click.option(
         "--bandwidth", "bandwidth_hz", type=_ABOVE, help="Of the carrier loop, one-sided, Hz."
     ),
@@ -197,7 +199,7 @@ def published_command(runs: int, seed: int, output: Path | None) -> None:
     The simulation puts drawn errors on the readings of a unit, RUNS times, and runs strapdown
     navigation and loop step by step.
     """
-    console = _console()
+    console = _console(_WIDE)
     with console.status("simulated"):
         figures = published_figures(runs, seed)
     console.print(_published_table(figures))
@@ -236,6 +238,13 @@ def _subject(told: dict[str, Any]) -> tuple[Subject, Path | None]:
     subject = replace(subject, **given)
     if subject.damping is not None and subject.order != 2:
         raise ConfigError(f"--damping: order {subject.order} has none (--order 2)")
+    product = subject.bandwidth_hz * subject.coherent_s
+    if "coherent_s" in told and product > MAX_LOOP_PRODUCT:
+        raise ConfigError(
+            f"--bandwidth {subject.bandwidth_hz:g}: expected at most"
+            f" {MAX_LOOP_PRODUCT / subject.coherent_s:g} Hz with updates every"
+            f" {subject.coherent_s:g} s (--coherent)"
+        )
     if subject.interval_s > subject.window_s:
         raise ConfigError(
             f"--interval {subject.interval_s:g}: longer than the window ({subject.window_s:g} s)"
@@ -259,10 +268,10 @@ def _finish(budgets: Sequence[Budget], output: Path | None) -> None:
         console.print(f"written to {output}", soft_wrap=True)
 
 
-def _console() -> Console:
+def _console(narrowest: int = _NARROWEST) -> Console:
     console = Console(highlight=False)
     if not console.is_terminal:
-        console.width = max(console.width, _NARROWEST)
+        console.width = max(console.width, narrowest)
     return console
 
 

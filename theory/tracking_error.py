@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
 
 from deepgnss.core.loops import loop_gains
 from deepgnss.core.records import FloatArray
@@ -18,6 +20,29 @@ def pll_thermal_sigma_cycles(cn0_dbhz: float, bandwidth_hz: float, coherent_s: f
     cn0_hz = 10.0 ** (cn0_dbhz / 10.0)
     squaring = 1.0 + 1.0 / (2.0 * coherent_s * cn0_hz)
     return math.sqrt(bandwidth_hz / cn0_hz * squaring) / (2.0 * math.pi)
+
+
+@lru_cache(maxsize=64)
+def reported_share(order: int, bandwidth_hz: float, interval_s: float) -> float:
+    """σ of the phase that a receiver reports over T(2.20), which is that of the loop's prediction.
+
+    A tag's phase comes from the loop's estimate for the symbol that holds it, that symbol's own
+    measurement taken in: 0.89 with 7 Hz and 20 ms, 0.99 with 1 ms (order 3). Root mean square over
+    the symbol, by the covariance of the sampled loop.
+    """
+    gain = np.array(loop_gains(order, bandwidth_hz, interval_s))[:order] * (
+        interval_s ** np.arange(order)  # states in units of the interval: well conditioned
+    )
+    forward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])[:order, :order]
+    kept = np.eye(order)
+    kept[:, 0] -= gain
+    drive = forward @ gain
+    before = solve_discrete_lyapunov(forward @ kept, np.outer(drive, drive))
+    after = kept @ before @ kept.T + np.outer(gain, gain)
+    points, weights = np.polynomial.legendre.leggauss(4)
+    row = (0.5 * points[:, np.newaxis]) ** np.arange(order) / [1.0, 1.0, 2.0][:order]
+    variance = 0.5 * weights @ np.einsum("ni,ij,nj->n", row, after, row)
+    return math.sqrt(variance / before[0, 0])
 
 
 def dll_thermal_sigma_chips(

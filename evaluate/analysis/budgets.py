@@ -24,7 +24,11 @@ from deepgnss.theory.inertial import Sums, error_growth, error_sums
 from deepgnss.theory.loop_response import drawn_response
 from deepgnss.theory.open_loop import Growth, best_fit, clock_growth, entry_growth, together
 from deepgnss.theory.phase_budget import THRESHOLD_CYCLES, best_bandwidth_hz, phase_budget
-from deepgnss.theory.tracking_error import dll_thermal_sigma_chips, pll_thermal_sigma_cycles
+from deepgnss.theory.tracking_error import (
+    dll_thermal_sigma_chips,
+    pll_thermal_sigma_cycles,
+    reported_share,
+)
 from deepgnss.theory.update_filter import (
     oscillator_step_sigma,
     process_noise,
@@ -333,12 +337,14 @@ def jitter(subject: Subject, cn0s_dbhz: Sequence[float]) -> Budget:
             "total_deg": [360.0 * b.total for b in budgets],
         }
     )
+    told = reported_share(subject.order, subject.bandwidth_hz, subject.coherent_s)
     facts = (
         ("carrier loop", f"order {subject.order}, {subject.bandwidth_hz:g} Hz,"
          f" {1e3 * subject.coherent_s:g} ms"),
         ("code loop", f"{subject.code_bandwidth_hz:g} Hz, D {subject.spacing_chips:g} chip,"
          f" {1e3 * subject.code_coherent_s:g} ms"),
         ("oscillator", subject.oscillator.name),
+        ("a phase as told", f"{told:.3f} of the thermal noise: its own symbol counts"),
         ("limit", f"{360.0 * THRESHOLD_CYCLES:g}°, K(1)"),
         *_updates(subject),
     )  # fmt: skip

@@ -38,13 +38,14 @@ from deepgnss.theory.open_loop import (
     shared_growth,
     together,
 )
-from deepgnss.theory.tracking_error import pll_thermal_sigma_cycles
+from deepgnss.theory.tracking_error import pll_thermal_sigma_cycles, reported_share
 
 CARRIER_HZ: Final = GPS_L1CA.carrier_hz
+ORDER: Final = 3
 BANDWIDTH_HZ: Final = 7.0
 COHERENT_S: Final = 0.020
 _RUN: Final = (
-    f"tracking.carrier={{loop: pll3, bandwidth: {BANDWIDTH_HZ}, coherent: {COHERENT_S}}}",
+    f"tracking.carrier={{loop: pll{ORDER}, bandwidth: {BANDWIDTH_HZ}, coherent: {COHERENT_S}}}",
     "acquisition.weak=false",  # all that transmit are strong
     "output.interval=0.1",
 )
@@ -255,7 +256,10 @@ def predicted(run: Phases, one: Hidden, hidden: Sequence[Hidden], cn0_dbhz: floa
     sights = {
         emitter.satellite: toward_n(scenario, emitter, one.begin_s) for emitter in scenario.emitters
     }
-    thermal = pll_thermal_sigma_cycles(cn0_dbhz, BANDWIDTH_HZ, COHERENT_S)
+    # of phases as they are told, each with its own symbol taken in
+    thermal = pll_thermal_sigma_cycles(cn0_dbhz, BANDWIDTH_HZ, COHERENT_S) * reported_share(
+        ORDER, BANDWIDTH_HZ, COHERENT_S
+    )
     length_s = np.array([one.end_s - one.begin_s])
     way = _way_growth(run, one, sights[one.satellite])
     last = Growth(way.source, way.phase_cycles[-1:], way.frequency_hz[-1:])

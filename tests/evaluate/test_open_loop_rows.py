@@ -28,7 +28,7 @@ from deepgnss.sim.orbits import orbit_of
 from deepgnss.sim.scenario import Scenario
 from deepgnss.sim.schema import PUBLISHED, build, load_scenario
 from deepgnss.theory.open_loop import best_fit, clock_growth, share_below
-from deepgnss.theory.tracking_error import pll_thermal_sigma_cycles
+from deepgnss.theory.tracking_error import pll_thermal_sigma_cycles, reported_share
 
 ONE = Hidden("G03", 30.0, 50.0)
 
@@ -138,7 +138,7 @@ def test_prediction_for_all_is_the_clock_and_for_one_what_others_tell() -> None:
     names = [emitter.satellite for emitter in sim.emitters]
     run = Phases(sim, table(dict.fromkeys(names, np.zeros(400)), time_s, (30.05, 50.0)), [])
     every = carried(run, [Hidden(name, 30.0, 50.0) for name in names])
-    thermal = pll_thermal_sigma_cycles(48.0, 7.0, 0.020)
+    thermal = pll_thermal_sigma_cycles(48.0, 7.0, 0.020) * reported_share(3, 7.0, 0.020)
     assert sim.clock.oscillator is not None
     fit = best_fit(sim.clock.oscillator, CARRIER_HZ, 20.0, thermal / math.sqrt(len(names)))
     clock = clock_growth(sim.clock.oscillator, CARRIER_HZ, fit, np.array([20.0])).phase_cycles[0]

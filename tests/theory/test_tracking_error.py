@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from deepgnss.core.loops import loop_gains
 from deepgnss.theory.tracking_error import (
     acceleration_peak_cycles,
     acceleration_response,
     dll_thermal_sigma_chips,
     loop_states,
     pll_thermal_sigma_cycles,
+    reported_share,
     root_sum_square,
 )
 
@@ -144,3 +146,27 @@ def test_response_to_acceleration_begins_with_the_step():
     assert response[2] == pytest.approx(0.5 * 0.01**2, rel=0.1)
     with pytest.raises(ValueError, match="loop order 1"):
         acceleration_response(np.zeros(1), 1, 5.0)
+
+
+@pytest.mark.parametrize(("order", "bandwidth", "interval"), [(3, 7.0, 0.02), (2, 15.0, 0.01)])
+def test_noise_of_a_reported_phase(order: int, bandwidth: float, interval: float) -> None:
+    """Loops run on noise: the prediction spreads as T(2.20), the estimate anywhere in it less."""
+    rng, loops, steps = np.random.default_rng(6), 4000, 300
+    gains = np.array(loop_gains(order, bandwidth, interval))
+    T = interval
+    forward = np.array([[1.0, T, 0.5 * T * T], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
+    state = np.zeros((loops, 3))
+    for _ in range(steps):
+        predicted = state
+        state = predicted + (rng.standard_normal(loops) - predicted[:, 0])[:, np.newaxis] * gains
+        estimate, state = state, state @ forward.T
+    at = rng.uniform(-0.5 * T, 0.5 * T, loops)
+    told = estimate[:, 0] + estimate[:, 1] * at + 0.5 * estimate[:, 2] * at**2
+    assert predicted[:, 0].std() == pytest.approx(math.sqrt(2.0 * bandwidth * T), rel=0.04)
+    share = told.std() / math.sqrt(2.0 * bandwidth * T)
+    assert reported_share(order, bandwidth, interval) == pytest.approx(share, rel=0.04)
+
+
+def test_a_phase_updated_without_end_is_the_prediction() -> None:
+    assert reported_share(3, 7.0, 0.02) == pytest.approx(0.889, abs=1e-3)
+    assert reported_share(3, 7.0, 1e-4) == pytest.approx(1.0, abs=2e-3)
