@@ -1,8 +1,9 @@
 """Phase noise of a Kalman carrier loop with one update per interval: L 1.3, K 2.2.
 
 State: phase, frequency, rate and jerk of the carrier, cycles/s^k. Between updates the oscillator
-walks, L(29), L(30), and the highest derivative kept does, L(28); an update brings phase and
-frequency of a tone in the middle of the interval at the Cramér–Rao bound, L(31–34), L(41).
+walks, L(29), L(30), and the highest derivative kept does, L(28) (`core.carrier_model`); an update
+brings phase and frequency of a tone in the middle of the interval at the Cramér–Rao bound,
+L(31–34), L(41).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import math
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+from deepgnss.core.carrier_model import carrier_covariance, transition
 from deepgnss.core.records import FloatArray, Oscillator
 
 
@@ -23,11 +25,8 @@ def oscillator_step_sigma(
     With q_b = h0/2 and q_d = 2π²·h₋₂, L(29), L(30). (L's own figures for 0.1 s, 0.086 Hz and
     0.0004 Hz, are √(h₋₂·T)·f0, without the 2π²; 0.0002 cycle is √(h0·T)·f0, without the ½.)
     """
-    q_phase, q_frequency = 0.5 * oscillator.h0_s, 2.0 * math.pi**2 * oscillator.h_2_hz
-    return (
-        carrier_hz * math.sqrt(q_phase * interval_s + q_frequency * interval_s**3 / 3.0),
-        carrier_hz * math.sqrt(q_frequency * interval_s),
-    )
+    Q = carrier_covariance(2, interval_s, oscillator, carrier_hz, 0.0)
+    return math.sqrt(Q[0, 0]), math.sqrt(Q[1, 1])
 
 
 def tone_bounds(cn0_dbhz: float, interval_s: float, sums: int) -> tuple[float, float]:
@@ -42,47 +41,17 @@ def tone_bounds(cn0_dbhz: float, interval_s: float, sums: int) -> tuple[float, f
     return math.sqrt(phase2) / (2.0 * math.pi), math.sqrt(frequency2) / (2.0 * math.pi)
 
 
-def process_noise(
-    oscillator: Oscillator,
-    carrier_hz: float,
-    jerk_density: float,
-    interval_s: float,
-    states: int = 4,
-) -> FloatArray:
-    """Q (states, states) of an interval, L(28).
-
-    Parameters: density of the noise that drives the last state, cycles/s^states per √Hz. (L(25)
-    as printed has T² where L(28) rightly has T³.)
-    """
-    T = interval_s
-    Q = np.zeros((states, states))
-    Q[0, 0] = carrier_hz**2 * 0.5 * oscillator.h0_s * T
-    walk = np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
-    Q[:2, :2] += carrier_hz**2 * 2.0 * math.pi**2 * oscillator.h_2_hz * walk
-    for i in range(states):
-        for k in range(states):
-            a, b = states - 1 - i, states - 1 - k
-            power = a + b + 1
-            scale = math.factorial(a) * math.factorial(b) * power
-            Q[i, k] += jerk_density**2 * T**power / scale
-    return Q
-
-
 def steady_phase_sigma_cycles(
     cn0_dbhz: float, interval_s: float, Q: FloatArray, sums: int | None = None
 ) -> float:
     """1σ of the phase in the middle of an interval after its update, once the filter has settled.
 
-    sums: of one interval (None: of a millisecond each).
+    Q: of an interval, by `core.carrier_model.carrier_covariance`; sums: of one (None: of a
+    millisecond each).
     """
     count = max(2, round(interval_s * 1e3)) if sums is None else sums
     n = len(Q)
-    Phi = np.array(
-        [
-            [interval_s ** (k - i) / math.factorial(k - i) if k >= i else 0.0 for k in range(n)]
-            for i in range(n)
-        ]
-    )
+    Phi = transition(n, interval_s)
     scale = np.diag(interval_s ** np.arange(n, dtype=np.float64))  # states of like size
     back = np.linalg.inv(scale)
     H = np.eye(n)[:2] @ back

@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 
+from deepgnss.core.carrier_model import carrier_covariance
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import BDS_B1I, GPS_L1CA, FloatArray
 from deepgnss.evaluate.analysis.subject import Subject
@@ -31,7 +32,6 @@ from deepgnss.theory.tracking_error import (
 )
 from deepgnss.theory.update_filter import (
     oscillator_step_sigma,
-    process_noise,
     steady_phase_sigma_cycles,
 )
 
@@ -40,7 +40,8 @@ _HALF_CYCLE: Final = 0.5
 _CODE_CHIPS: Final = 0.1  # T 4.5.3
 _INTERVALS_S: Final = (0.010, 0.020, 0.040, 0.080, 0.160)  # T figure 4.12
 _UPDATE_S: Final = (0.05, 0.1, 0.2, 0.4)  # L 1.3
-_JERK_HZPS2: Final = 64.0  # L 2.2: density of what drives the last state, Hz/s³ per √Hz
+_STATES: Final = 4
+_LAST_HZPS3_RTHZ: Final = 64.0  # drives the last one, Hz/s²: as far in 1 s as L 2.2 goes
 
 
 class Budget(NamedTuple):
@@ -357,7 +358,9 @@ def _updates(subject: Subject) -> list[tuple[str, str]]:
     carrier_hz, lines = subject.signal.carrier_hz, []
     for update_s in _UPDATE_S:
         phase, frequency = oscillator_step_sigma(subject.oscillator, carrier_hz, update_s)
-        Q = process_noise(subject.oscillator, carrier_hz, _JERK_HZPS2, update_s)
+        Q = carrier_covariance(
+            _STATES, update_s, subject.oscillator, carrier_hz, _LAST_HZPS3_RTHZ**2
+        )
         settled = steady_phase_sigma_cycles(subject.cn0_dbhz, update_s, Q)
         lines.append(
             (

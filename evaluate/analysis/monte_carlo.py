@@ -135,16 +135,21 @@ def _velocities(
 
 def open_loop_m(velocity_mps: FloatArray, interval_s: float) -> FloatArray:
     """Way (…, n) that velocities at the ends of intervals (…, n) add up to."""
-    before = np.concatenate([velocity_mps[..., :1], velocity_mps[..., :-1]], axis=-1)
-    return np.asarray(np.cumsum(0.5 * interval_s * (before + velocity_mps), axis=-1))
+    return np.asarray(np.cumsum(0.5 * interval_s * (_before(velocity_mps) + velocity_mps), axis=-1))
 
 
 def finer(velocity_mps: FloatArray, factor: int) -> FloatArray:
     """Velocities (…, n) at the ends of intervals, in the middles of `factor` parts of each."""
-    before = np.concatenate([velocity_mps[..., :1], velocity_mps[..., :-1]], axis=-1)
+    before = _before(velocity_mps)
     at = (np.arange(factor) + 0.5) / factor
     parts = before[..., np.newaxis] * (1.0 - at) + velocity_mps[..., np.newaxis] * at
     return np.asarray(parts.reshape(*velocity_mps.shape[:-1], -1))
+
+
+def _before(velocity_mps: FloatArray) -> FloatArray:
+    """Velocities at the begins of the intervals, the first carried back in a line."""
+    first = 2.0 * velocity_mps[..., :1] - velocity_mps[..., 1:2]
+    return np.concatenate([first, velocity_mps[..., :-1]], axis=-1)
 
 
 def closed_loop_m(

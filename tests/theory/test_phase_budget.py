@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from deepgnss.core.carrier_model import carrier_covariance
 from deepgnss.core.records import Oscillator
 from deepgnss.theory.loop_response import carrier_loop, drawn_response
 from deepgnss.theory.phase_budget import (
@@ -18,7 +19,6 @@ from deepgnss.theory.phase_budget import (
 )
 from deepgnss.theory.update_filter import (
     oscillator_step_sigma,
-    process_noise,
     steady_phase_sigma_cycles,
     tone_bounds,
 )
@@ -56,22 +56,15 @@ def test_no_other_bandwidth_is_better(order: int) -> None:
     assert all(phase_budget(order, best * x, stress).total > least for x in (0.8, 0.97, 1.03, 1.3))
 
 
-def test_process_noise_is_that_of_van_loan() -> None:
-    """L(28): the chain of integrators driven at its end, and the oscillator's two."""
-    step_s, jerk = 0.2, 3.0
-    clock = Oscillator("c", 4e-22, 0.0, 3e-23, 0.0)
-    Q = process_noise(clock, L1_HZ, jerk, step_s)
-    fine, parts = np.zeros((4, 4)), 2000
-    t = (np.arange(parts) + 0.5) * step_s / parts  # time left after each impulse
-    h = np.stack([t**3 / 6.0, t**2 / 2.0, t, np.ones(parts)])
-    fine += jerk**2 * (h @ h.T) * step_s / parts
-    g = np.stack([t, np.ones(parts)])
-    fine[:2, :2] += L1_HZ**2 * 2.0 * math.pi**2 * clock.h_2_hz * (g @ g.T) * step_s / parts
-    fine[0, 0] += L1_HZ**2 * 0.5 * clock.h0_s * step_s
-    np.testing.assert_allclose(Q, fine, rtol=1e-5)
+def test_an_oscillator_in_a_step() -> None:
+    """White noise and walk of frequency added up in 2000 parts: by impulse responses."""
+    step_s, clock, parts = 0.2, Oscillator("c", 4e-22, 0.0, 3e-23, 0.0), 2000
+    left_s = (np.arange(parts) + 0.5) * step_s / parts
+    walk = L1_HZ**2 * 2.0 * math.pi**2 * clock.h_2_hz * step_s / parts
+    white = L1_HZ**2 * 0.5 * clock.h0_s * step_s
     phase, frequency = oscillator_step_sigma(clock, L1_HZ, step_s)
-    bare = process_noise(clock, L1_HZ, 0.0, step_s)
-    assert (phase**2, frequency**2) == pytest.approx((bare[0, 0], bare[1, 1]))
+    assert phase**2 == pytest.approx(white + walk * np.sum(left_s**2), rel=1e-5)
+    assert frequency**2 == pytest.approx(walk * parts)
 
 
 def test_bounds_of_a_tone_are_reached_by_least_squares() -> None:
@@ -90,7 +83,7 @@ def test_bounds_of_a_tone_are_reached_by_least_squares() -> None:
 def test_the_filter_settles_as_simulated() -> None:
     """A Riccati recursion run until it stands still; never worse than one update alone."""
     clock, step_s, cn0 = Oscillator("c", 2e-25, 0.0, 6e-25, 0.0), 0.2, 35.0
-    Q = process_noise(clock, L1_HZ, 64.0, step_s)
+    Q = carrier_covariance(4, step_s, clock, L1_HZ, 64.0**2)
     sigmas = tone_bounds(cn0, step_s, 200)
     Phi = np.array([[1, 0.2, 0.02, 0.2**3 / 6], [0, 1, 0.2, 0.02], [0, 0, 1, 0.2], [0, 0, 0, 1]])
     P, H, R = np.diag([1.0, 1e2, 1e4, 1e6]), np.eye(4)[:2], np.diag(np.square(sigmas))
