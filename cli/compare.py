@@ -25,6 +25,7 @@ from deepgnss.evaluate.comparison_outputs import FILES, write_comparison
 from deepgnss.evaluate.comparison_tables import Sheet, sheets
 from deepgnss.evaluate.metrics import GROSS_M
 from deepgnss.evaluate.observations import read_observations
+from deepgnss.evaluate.outages import read_gaps
 from deepgnss.evaluate.positions import read_sections
 from deepgnss.evaluate.rtk import MODES, RIGHT_M
 from deepgnss.evaluate.sources import Source, read_reference, read_source
@@ -105,7 +106,8 @@ _TruthKind = Literal["csv", "rtklib_pos", "kfgins_nav"]
 @click.option(
     "--gaps",
     type=click.Path(path_type=Path),
-    help="CSV: name, from_tow_s, to_tow_s of stretches without sky; default: gaps all have.",
+    help="Stretches without sky: CSV as --sections, or a simulation's ranges.csv;"
+    " default: gaps that all receivers have.",
 )
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), default=Path("compare"), show_default=True
@@ -150,7 +152,7 @@ def compare(
         sections=read_sections(sections) if sections is not None else (),
         rtk_mode=rtk_mode if rtk else None,
         right_m=right,
-        gaps=read_sections(gaps) if gaps is not None else (),
+        gaps=read_gaps(gaps, mask) if gaps is not None else (),
     )
     found = held_against(sources, yardstick)
     prepare_folder(output, FILES)

@@ -40,7 +40,7 @@ FILES = (
     "solution.nmea",
     *(f"{name}.csv" for name in ("solution", "satellites", "channels", "observations", "events")),
     *(f"{name}.csv" for name in ("errors", "statistics", "trajectory", "innovations")),
-    "sections.csv",
+    "stretches.csv",
     *(f"track.{kind}" for kind in ("kml", "gpx", "geojson")),
     "correlations.h5",
     *("overview.png", "report.html"),

@@ -22,7 +22,7 @@ mpl.use("Agg")
 
 FILES: Final = (
     *("positions.csv", "errors.csv", "differences.csv", "satellites.csv", "rtk.csv"),
-    *("gaps.csv", "summary.json", "report.html"),
+    *("recovery.csv", "summary.json", "report.html"),
     *("positions.png", "availability.png", "signals.png", "differences.png"),
 )
 """Names of all files a comparison may write."""
@@ -54,7 +54,7 @@ def write_comparison(found: Comparison, folder: Path) -> None:
         parts = [table.assign(receiver=name) for name, table in found.rtk.errors.items()]
         _write(folder / "rtk.csv", pd.concat(parts).reset_index())
     if found.ways is not None:
-        _write(folder / "gaps.csv", _gap_rows(found.ways))
+        _write(folder / "recovery.csv", _gap_rows(found.ways))
     if found.strengths:
         draw_signals(found.strengths, folder / "signals.png")
     write_comparison_report(found, folder / "report.html")

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from deepgnss.core.constants import SECONDS_PER_WEEK
-from deepgnss.evaluate.positions import Instants, Section
+from deepgnss.evaluate.positions import Instants, Section, read_sections
+from deepgnss.io.input import reading
 
 GOOD_M: Final = 3.0
 """Horizontal error within which a position counts as good again."""
+
+
+NEEDED: Final = 4
+"""Satellites in sight below which no position is due."""
 
 
 class Gap(NamedTuple):
@@ -51,6 +57,31 @@ def common_gaps(asked: Instants, positions: Sequence[Instants]) -> list[Gap]:
     if not together.size:
         return []
     return gaps(asked[(asked >= together[0]) & (asked <= together[-1])], together)
+
+
+def read_gaps(path: Path, elevation_mask_deg: float) -> tuple[Section, ...]:
+    """Stretches without sky: a CSV of sections, or the ranges.csv of a simulation.
+
+    Of that, the times with fewer than NEEDED satellites in sight above the mask.
+
+    Raises InputFileError: it cannot be read, or is neither.
+    """
+    with reading(path):
+        frame = pd.read_csv(path, nrows=0)
+    if not {"visible", "el_deg", "satellite", "tow"} <= set(frame.columns):
+        return read_sections(path)
+    with reading(path):
+        frame = pd.read_csv(path, usecols=["visible", "el_deg", "satellite", "tow"])
+    high = (frame["visible"] == 1) & (frame["el_deg"] >= elevation_mask_deg)
+    seen = frame["satellite"].where(high).groupby(frame["tow"]).nunique()
+    dark = np.flatnonzero(seen.to_numpy() < NEEDED)
+    tow_s = np.append(seen.index.to_numpy(np.float64), np.inf)
+    parts = np.split(dark, np.flatnonzero(np.diff(dark) > 1) + 1)
+    return tuple(
+        Section(f"below {NEEDED} satellites", float(tow_s[part[0]]), float(tow_s[part[-1] + 1]))
+        for part in parts
+        if part.size
+    )
 
 
 def named_gaps(sections: Sequence[Section], asked: Instants, interval_s: float) -> list[Gap]:

@@ -32,7 +32,7 @@ from deepgnss.evaluate.report.stretches import (
     named,
     outages,
     stretches,
-    write_sections,
+    write_stretches,
 )
 from deepgnss.evaluate.report.style import STYLE
 from deepgnss.evaluate.report.tables import clock, metres, percent, seconds, table, tiles
@@ -43,7 +43,7 @@ from deepgnss.io.output import write_whole
 NAME: Final = "report.html"
 """Of the file."""
 
-SECTIONS: Final = "sections.csv"
+STRETCHES: Final = "stretches.csv"
 """What each section of the way came to."""
 
 _MOST_OUTAGES: Final = 30  # told; the longest ones
@@ -84,7 +84,7 @@ def read_run_files(folder: Path) -> RunFiles:
             frame["s"] = _absolute(frame) - start_s
     channels["s"] = channels["recording_s"]
     name = str(summary.get("recording") or folder.resolve().name)
-    told = folder / SECTIONS
+    told = folder / STRETCHES
     sections = read_sections(told) if told.is_file() else ()
     return RunFiles(
         name, solution, satellites, channels, errors, statistics, summary, start_s, sections
@@ -94,13 +94,13 @@ def read_run_files(folder: Path) -> RunFiles:
 def write_run_report(folder: Path, sections: tuple[Section, ...] = ()) -> Path:
     """Write report.html into the folder of a finished run; returns its path.
 
-    Parameters: sections, of the way: sections.csv is written as well; none: what it holds counts.
+    Parameters: sections, of the way: stretches.csv is written as well; none: what it holds counts.
     """
     run = read_run_files(folder)
     if sections:
         run = replace(run, sections=sections)
         found = stretches(run.solution, run.errors, named(sections, run.start_s))
-        write_sections(folder / SECTIONS, found, run.start_s)
+        write_stretches(folder / STRETCHES, found, run.start_s)
     path = folder / NAME
     write_whole(path, run_page(run))
     return path

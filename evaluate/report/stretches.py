@@ -103,8 +103,8 @@ def stretches(
     return found
 
 
-def write_sections(path: Path, found: Sequence[Stretch], start_s: float) -> None:
-    """sections.csv: what each named stretch came to; times are GPST of the week."""
+def write_stretches(path: Path, found: Sequence[Stretch], start_s: float) -> None:
+    """stretches.csv: what each named stretch came to; times are GPST of the week."""
     rows = ["name,from_tow_s,to_tow_s,epochs,fixed_share,satellites,p50_m,p95_m,largest_m"]
     for one in found:
         times = (f"{(start_s + t) % SECONDS_PER_WEEK:.3f}" for t in (one.start_s, one.end_s))

@@ -22,6 +22,7 @@ from deepgnss.evaluate.outages import (
     common_gaps,
     named_gaps,
     own_gaps,
+    read_gaps,
     recoveries,
 )
 from deepgnss.evaluate.positions import Section, availability, figures, grid, position_errors
@@ -129,6 +130,19 @@ def test_gaps_may_be_named_by_their_times() -> None:
     tunnel = Section("tunnel", 10.0, 20.0)
     (gap,) = named_gaps((tunnel, Section("elsewhere", 900.0, 910.0)), np.arange(0, 60), 0.5)
     assert gap == Gap(20, 40, "tunnel")
+
+
+def test_the_sky_of_a_simulation_names_its_gaps(tmp_path: Path) -> None:
+    rows = ["tow,satellite,visible,el_deg"]
+    for tow in range(20):
+        seen = 3 if 5 <= tow < 9 or tow >= 18 else 6
+        rows += [f"{tow},G{k:02d},{int(k < seen)},{40 if k else 5}" for k in range(8)]
+    (tmp_path / "ranges.csv").write_text("\n".join(rows) + "\n")
+    spans = [one[1:] for one in read_gaps(tmp_path / "ranges.csv", 0.0)]
+    assert spans == [(5.0, 9.0), (18.0, np.inf)]
+    assert [one[1:] for one in read_gaps(tmp_path / "ranges.csv", 10.0)] == spans  # 5 are enough
+    (tmp_path / "own.csv").write_text("name,from_tow_s,to_tow_s\ntunnel,5,9\n")
+    assert read_gaps(tmp_path / "own.csv", 10.0) == (Section("tunnel", 5.0, 9.0),)
 
 
 def test_the_command_writes_tables_and_figures(truth: Trajectory, tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from deepgnss.evaluate.report.stretches import (
     named,
     outages,
     stretches,
-    write_sections,
+    write_stretches,
 )
 
 
@@ -164,8 +164,8 @@ def test_sections_are_told_by_name_and_read_back(tmp_path: Path) -> None:
     assert [(one.name, one.start_s, one.epochs, one.fixed_share) for one in found] == [
         ('a "tunnel", long', 18.0, 12, 0.5)
     ]
-    write_sections(tmp_path / "sections.csv", found, run.start_s)
-    assert read_sections(tmp_path / "sections.csv") == sections[:1]
+    write_stretches(tmp_path / "stretches.csv", found, run.start_s)
+    assert read_sections(tmp_path / "stretches.csv") == sections[:1]
     assert 'a "tunnel", long 0:18 – 0:30' in words(run_page(replace(run, sections=sections)))
     sunday = named((Section("x", 1.0, 2.0),), 2290 * 604800.0 + 604799.0)  # over the week's end
     assert (sunday[0].start_s, sunday[0].end_s) == (2.0, 3.0)
