@@ -180,7 +180,7 @@ class _Run:
         horizontal = None
         if self.config.output.report and self.config.output.csv and outputs.tally.epochs:
             with self._stage("errors and report"):
-                found = _draw(self.config, folder, self.path.name)
+                found = _draw(self.config, folder)
                 horizontal = found.of("horizontal_m") if found else None
         inertial = engine.coupled.guard.line() if engine.coupled is not None else ""
         self._report(outputs, outcomes, horizontal, inertial)
@@ -323,23 +323,30 @@ def _echo(config: Config) -> dict[str, Any]:
     return config.model_dump(mode="json", exclude={"threads": True, "output": {"directory"}})
 
 
-def _draw(config: Config, folder: Path, name: str) -> Evaluation | None:
+def _draw(config: Config, folder: Path) -> Evaluation | None:
     """Overview picture and report, and errors where there is a truth."""
-    from deepgnss.evaluate.errors import errors, evaluate, write_errors, write_statistics
-    from deepgnss.evaluate.overview import draw_overview, read_run
+    from deepgnss.evaluate.errors import (
+        errors,
+        evaluate,
+        read_solution,
+        write_errors,
+        write_statistics,
+    )
+    from deepgnss.evaluate.overview import draw_overview
     from deepgnss.evaluate.positions import read_sections
-    from deepgnss.evaluate.report.run import write_run_report
+    from deepgnss.evaluate.report.run import read_run_files, with_sections, write_run_report
     from deepgnss.io.truth import read_truth
 
-    run = read_run(folder, name)
-    truth, evaluation = None, None
+    truth, evaluation, sections = None, None, None
     if config.truth is not None:
-        truth = read_truth(config.truth.file, config.truth.format)
-        found = errors(run.solution, truth)
+        truth, sections = read_truth(config.truth.file, config.truth.format), config.truth.sections
+        found = errors(read_solution(folder / "solution.csv"), truth)
         evaluation = evaluate(found)
         write_errors(folder / "errors.csv", found)
         write_statistics(folder / "statistics.csv", evaluation)
-    draw_overview(folder / "overview.png", run, truth)
-    told = config.truth.sections if config.truth is not None else None
-    write_run_report(folder, read_sections(told) if told is not None else ())
+    run = read_run_files(folder)
+    if sections is not None:
+        run = with_sections(run, folder, read_sections(sections))
+    draw_overview(folder / "overview.png", run.overview, truth)
+    write_run_report(folder, run)
     return evaluation

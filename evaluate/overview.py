@@ -19,8 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from deepgnss.core.constants import SECONDS_PER_WEEK
 from deepgnss.core.frames import C_ne, geodetic
 from deepgnss.core.records import FloatArray
-from deepgnss.evaluate.errors import Errors, errors, evaluate, read_solution
-from deepgnss.io.input import reading
+from deepgnss.evaluate.errors import Errors, errors, evaluate
 from deepgnss.io.output import part_path, reporting
 from deepgnss.io.truth import Trajectory
 
@@ -45,15 +44,6 @@ class Run:
     solution: pd.DataFrame
     satellites: pd.DataFrame
     channels: pd.DataFrame
-
-
-def read_run(folder: Path, name: str) -> Run:
-    """Read the tables a run has left in its output folder."""
-    tables = []
-    for table in ("satellites.csv", "channels.csv"):
-        with reading(folder / table):
-            tables.append(pd.read_csv(folder / table, low_memory=False))
-    return Run(name, read_solution(folder / "solution.csv"), tables[0], tables[1])
 
 
 def draw_overview(path: Path, run: Run, truth: Trajectory | None = None) -> None:

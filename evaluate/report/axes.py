@@ -13,7 +13,7 @@ from deepgnss.core.records import FloatArray
 
 _MOST_TICKS: Final = 5  # more do not fit on a phone
 _STEPS: Final = (1.0, 2.0, 2.5, 5.0, 10.0)
-_TIME_STEPS: Final = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 60.0)
+_TIME_STEPS: Final = (1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ def time_axis(low_s: float, high_s: float) -> tuple[Axis, float, str]:
     """A scale of time, the seconds in its unit, and the unit's name."""
     for unit_s, name in ((3600.0, "h"), (60.0, "min")):
         if high_s - low_s > 10.0 * unit_s or (unit_s == 3600.0 and high_s - low_s > 3.0 * unit_s):
-            return linear(low_s / unit_s, high_s / unit_s), unit_s, name
+            return linear(low_s / unit_s, high_s / unit_s, _TIME_STEPS), unit_s, name
     return linear(low_s, high_s, _TIME_STEPS), 1.0, "s"
 
 

@@ -19,6 +19,7 @@ from deepgnss.core.time import GpsTime
 from deepgnss.evaluate.errors import read_solution
 from deepgnss.evaluate.metrics import GROSS_M
 from deepgnss.evaluate.outages import GOOD_M
+from deepgnss.evaluate.overview import Run
 from deepgnss.evaluate.positions import Section, read_sections
 from deepgnss.evaluate.report.axes import linear
 from deepgnss.evaluate.report.chart import figure
@@ -63,6 +64,11 @@ class RunFiles:
     start_s: float  # of the recording, GPST seconds since its epoch; 0: never known
     sections: tuple[Section, ...] = ()  # of the way
 
+    @property
+    def overview(self) -> Run:
+        """What the picture of the run is drawn from."""
+        return Run(self.name, self.solution, self.satellites, self.channels)
+
 
 def read_run_files(folder: Path) -> RunFiles:
     """Read what a finished run has left.
@@ -91,18 +97,20 @@ def read_run_files(folder: Path) -> RunFiles:
     )
 
 
-def write_run_report(folder: Path, sections: tuple[Section, ...] = ()) -> Path:
+def with_sections(run: RunFiles, folder: Path, sections: tuple[Section, ...]) -> RunFiles:
+    """The run cut by sections of the way; what each came to is written to stretches.csv."""
+    found = stretches(run.solution, run.errors, named(sections, run.start_s))
+    write_stretches(folder / STRETCHES, found, run.start_s)
+    return replace(run, sections=sections)
+
+
+def write_run_report(folder: Path, run: RunFiles | None = None) -> Path:
     """Write report.html into the folder of a finished run; returns its path.
 
-    Parameters: sections, of the way: stretches.csv is written as well; none: what it holds counts.
+    Parameters: run, as read from the folder; None: it is read.
     """
-    run = read_run_files(folder)
-    if sections:
-        run = replace(run, sections=sections)
-        found = stretches(run.solution, run.errors, named(sections, run.start_s))
-        write_stretches(folder / STRETCHES, found, run.start_s)
     path = folder / NAME
-    write_whole(path, run_page(run))
+    write_whole(path, run_page(run or read_run_files(folder)))
     return path
 
 

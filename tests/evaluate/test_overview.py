@@ -8,7 +8,7 @@ import pytest
 from deepgnss.core.errors import OutputError
 from deepgnss.core.frames import C_ne, ecef
 from deepgnss.evaluate import overview
-from deepgnss.evaluate.overview import Run, draw_overview, read_run
+from deepgnss.evaluate.overview import Run, draw_overview
 from deepgnss.io.truth import Trajectory
 
 _LAT, _LON = np.radians((52.0, -3.0))
@@ -96,12 +96,3 @@ def test_folder_that_is_none(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="cannot write"):
         draw_overview(tmp_path / "file" / "a.png", _run(2, epochs=12))
-
-
-def test_tables_of_a_run_are_read(tmp_path: Path) -> None:
-    run = _run(3, epochs=12)
-    for name in ("solution", "satellites", "channels"):
-        getattr(run, name).to_csv(tmp_path / f"{name}.csv", index=False)
-    again = read_run(tmp_path, "again")
-    assert again.channels["satellite"].tolist() == run.channels["satellite"].tolist()
-    assert len(again.solution) == 12
