@@ -38,6 +38,7 @@ _LEVELS_DBHZ = tuple(float(x) for x in range(20, 51, 5))
 _PEAKS_DBHZ = tuple(float(x) for x in range(10, 27))
 _CLOSED_S, _OPEN_S, _WINDOWS_S = 1.0, 20.0, 1.0
 _TRIALS = 3000
+_ENDINGS = (".csv", "_table.csv", ".png")  # curves, what the screen shows, picture
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _ABOVE = click.FloatRange(0.0, min_open=True)
 _OPTIONS = {
@@ -255,7 +256,7 @@ def _subject(told: dict[str, Any]) -> tuple[Subject, Path | None]:
 def _finish(budgets: Sequence[Budget], output: Path | None) -> None:
     console = _console()
     if output is not None:
-        names = [f"{budget.name}.{ending}" for budget in budgets for ending in ("csv", "png")]
+        names = [budget.name + ending for budget in budgets for ending in _ENDINGS]
         prepare_folder(output, names)
     for budget in budgets:
         console.print(f"[bold]{budget.title}[/]")
@@ -263,6 +264,7 @@ def _finish(budgets: Sequence[Budget], output: Path | None) -> None:
         console.print(_table(budget.table))
         if output is not None:
             _write_csv(output / f"{budget.name}.csv", budget.curves)
+            _write_csv(output / f"{budget.name}_table.csv", budget.table)
             draw(output / f"{budget.name}.png", budget)
     if output is not None:
         console.print(f"written to {output}", soft_wrap=True)

@@ -136,6 +136,9 @@ def _jitter(axes: list[Axes], budget: Budget) -> None:
     axes[1].axhline(15.0, color=_REFERENCE, linestyle="--", linewidth=0.9)
     axes[1].set(yscale="log")
     _style(axes[1], "over C/N0", "dB-Hz", "phase, deg")
+    axes[2].plot(table["C/N0, dB-Hz"], table["code, m"], color=_INK, label="thermal")
+    axes[2].set(yscale="log")
+    _style(axes[2], "code over C/N0", "dB-Hz", "m")
 
 
 def _peaks(axes: list[Axes], budget: Budget) -> None:
@@ -167,6 +170,6 @@ _PAINTERS: Final[Mapping[str, tuple[int, _Painter]]] = {
     "closed_loop": (2, _closed_loop),
     "open_loop": (3, _open_loop),
     "discriminator": (2, _discriminator),
-    "jitter": (2, _jitter),
+    "jitter": (3, _jitter),
     "peaks": (1, _peaks),
 }
