@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -280,16 +280,40 @@ class UtcParameters(NamedTuple):
     leap_day: int
 
 
+class RangeCorrections(NamedTuple):
+    """By how much a satellite's ranges are too long, as a base station measured; linear between.
+
+    The base's clock, common to all, is in it.
+    """
+
+    origin: GpsTime
+    time_s: FloatArray  # (n,) since `origin`
+    range_m: FloatArray  # (n,)
+
+    def at(self, time: GpsTime) -> float:
+        """Correction to be taken off a range, m."""
+        return float(np.interp(time.since(self.origin), self.time_s, self.range_m))
+
+
 @dataclass(frozen=True, slots=True)
 class NavData:
-    """All navigation data at hand: decoded from the signals or read from a NAV file."""
+    """All navigation data at hand: decoded from the signals or read from a NAV file.
+
+    corrections: of a base station, by satellite; None: there is none. With them, ranges of
+    satellites that it does not see are of no use.
+    """
 
     ephemerides: Mapping[str, tuple[Ephemeris, ...]] = field(default_factory=dict)  # by satellite
     klobuchar: Mapping[str, Klobuchar] = field(default_factory=dict)  # by system letter
     utc: UtcParameters | None = None
+    corrections: Mapping[str, RangeCorrections] | None = None
 
 
 # --- solution ------------------------------------------------------------------------------------
+
+
+Source = Literal["gnss", "gnss+ins", "ins"]
+"""Whether a position is made of ranges, of ranges and the inertial navigation, or of that alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,6 +336,8 @@ class NavSolution:
     residuals_m: Mapping[str, float]  # pseudorange residuals of all with a range
     azimuth_elevation_rad: Mapping[str, tuple[float, float]]
     isb_sigma_s: Mapping[str, float] = field(default_factory=dict)  # of isb_s, learnt over time
+    source: Source = "gnss"
+    differential: bool = False  # ranges less the corrections of a base station
 
 
 # --- inertial ------------------------------------------------------------------------------------

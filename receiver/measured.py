@@ -51,6 +51,8 @@ def measure(
                 rejected[satellite] = "unhealthy"
             elif satellite in refused:
                 rejected[satellite] = refused[satellite]
+            elif nav.corrections is not None and satellite not in nav.corrections:
+                rejected[satellite] = "no correction of the base's"
     observations = tuple(observation for observation, _ in chosen)
     ephemerides = tuple(ephemeris for _, ephemeris in chosen)
     readings_s = np.array([o.transmit.since(epoch.time) for o in observations])
@@ -62,13 +64,18 @@ def measure(
         usable=np.array([o.satellite not in rejected for o in observations], dtype=bool),
         ephemerides=ephemerides,
         states=states,
-        ranges_m=np.array([o.pseudorange_m for o in observations])
+        ranges_m=np.array([o.pseudorange_m - _correction_m(nav, o, epoch) for o in observations])
         + SPEED_OF_LIGHT_MPS * (states.clock_s - states.group_delay_s),
         rates_mps=-SPEED_OF_LIGHT_MPS / carriers_hz * dopplers_hz,
         carriers_hz=carriers_hz,
         cn0_dbhz=np.array([o.cn0_dbhz for o in observations]),
     )
     return measured, rejected
+
+
+def _correction_m(nav: NavData, observation: Observation, epoch: Epoch) -> float:
+    found = (nav.corrections or {}).get(observation.satellite)
+    return found.at(epoch.time) if found is not None else 0.0
 
 
 class Ranges(NamedTuple):

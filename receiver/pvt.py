@@ -11,6 +11,7 @@ not enter the orbit.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,14 @@ from deepgnss.core.frames import C_ne, geodetic
 from deepgnss.core.records import Epoch, FloatArray, NavData, NavSolution
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import orbits
+from deepgnss.receiver.beside import (
+    Beside,
+    Place,
+    Rows,
+    between_systems,
+    rows_beside,
+    whitening,
+)
 from deepgnss.receiver.measured import NOBODY_REFUSED, Measured, measure
 from deepgnss.receiver.raim import GROSS_M, check_residuals, gross_errors
 from deepgnss.receiver.weights import (
@@ -44,17 +53,8 @@ __all__ = [
 _MAX_ITERATIONS = 20
 _CONVERGED_M = 1.0  # the step after this one would be its square over the range: 1e-7 m
 _ATMOSPHERE_STEP_M = 10.0  # its delays change by 3 mm at zenith over this height
-_BETWEEN_M_RTS = 0.005  # random walk of the biases between systems
 _KINDS = ("elevation", "residual", "range")
 _PLAUSIBLE_HEIGHT_M = (-20e3, 2000e3)
-
-
-class _Held(NamedTuple):
-    """Biases between systems as known from before: rows beside those of the satellites."""
-
-    H: FloatArray
-    values_m: FloatArray
-    sigma_m: FloatArray
 
 
 class _Fix(NamedTuple):
@@ -63,7 +63,8 @@ class _Fix(NamedTuple):
     r_e_m: FloatArray
     biases_m: Mapping[str, float]  # receiver clock in metres, by system
     H: FloatArray
-    held: _Held
+    beside: Rows
+    beside_left: FloatArray  # of them after the adjustment, in their units
     sigma_m: FloatArray
     residuals_m: FloatArray  # of all measured; NaN for systems that are not in the solution
     azimuth_rad: FloatArray
@@ -87,6 +88,7 @@ def solve(
     parameters: PvtParameters,
     previous: NavSolution | None = None,
     refused: Mapping[str, str] = NOBODY_REFUSED,
+    place: Place | None = None,
 ) -> NavSolution:
     """Position, velocity and clock from the observations of one epoch.
 
@@ -95,13 +97,16 @@ def solve(
     epoch: one observation per satellite; `transmit` is the satellite clock's reading.
     previous: a solution to start from; without one the iteration starts at the geocentre.
     refused: satellites that somebody else found wrong, and why: they stay out.
+    place: the antenna as somebody predicts it, taken as a measurement: one satellite is enough
+        then, and RAIM holds the ranges against it, too.
 
     Returns a solution with `valid` False and a reason where there is none. `rejected` also names
     satellites of the position whose Doppler was left out of the velocity ("Doppler: …").
     """
     measured, rejected = measure(epoch, nav, refused)
     start_e_m = previous.r_e_m if previous is not None and previous.valid else np.zeros(3)
-    known = _between_systems(epoch.time, previous)
+    start_e_m = start_e_m if place is None else place.r_e_m
+    known = Beside(between_systems(epoch.time, previous), place)
     active = measured.usable.copy()
     screened = not parameters.raim
     while True:
@@ -120,16 +125,17 @@ def solve(
         if not parameters.raim:
             break
         rows = np.flatnonzero(fix.used)
-        biases_m = np.array(list(fix.biases_m.values()))
         verdict = check_residuals(
-            np.vstack([fix.H, fix.held.H]),
-            np.append(fix.residuals_m[rows], fix.held.values_m - fix.held.H[:, 3:] @ biases_m),
-            np.append(fix.sigma_m[rows], fix.held.sigma_m),
+            np.vstack([fix.H, fix.beside.H]),
+            np.append(fix.residuals_m[rows], fix.beside_left),
+            np.append(fix.sigma_m[rows], fix.beside.sigma),
             parameters.false_alarm,
             excludable=len(rows),
         )
-        if not verdict.passed and known:
-            known = {}  # what was known of the systems may be what is wrong
+        if not verdict.passed and known.between_m:
+            known = known._replace(
+                between_m={}
+            )  # what was known of the systems may be what is wrong
             continue
         if not verdict.passed:
             return unsolved(
@@ -149,7 +155,8 @@ def solve(
     height_m = geodetic(fix.r_e_m)[2]
     if not _PLAUSIBLE_HEIGHT_M[0] < height_m < _PLAUSIBLE_HEIGHT_M[1]:
         return unsolved(epoch.time, f"height of {height_m / 1e3:.0f} km is impossible", rejected)
-    return _solution(epoch, parameters, measured, fix, rejected)
+    solution = _solution(epoch, parameters, measured, fix, rejected, place)
+    return replace(solution, differential=nav.corrections is not None)
 
 
 def _adjust(
@@ -159,7 +166,7 @@ def _adjust(
     measured: Measured,
     active: NDArray[np.bool_],
     start_e_m: FloatArray,
-    known_m: Mapping[str, tuple[float, float]],
+    known: Beside,
 ) -> _Fix | _Failure:
     """Gauss–Newton over the active satellites above the mask."""
     r_e_m = start_e_m
@@ -186,9 +193,9 @@ def _adjust(
             modelled_at_e_m = r_e_m
         rows = np.flatnonzero(used)
         systems = _systems(measured, rows)
-        held = _held(systems, known_m)
+        beside = rows_beside(systems, known, r_e_m)
         unknowns = 3 + len(systems)
-        needed = max(unknowns - len(held.values_m), 4)
+        needed = max(unknowns - len(beside.values), 1 if known.place is not None else 4)
         if len(rows) < needed:
             return _Failure(f"{len(rows)} of {needed} satellites needed", low, len(low) > 0)
         misfit = measured.ranges_m - delays_m - sight.range_m
@@ -198,10 +205,10 @@ def _adjust(
                 np.array([[measured.satellites[k][0] == s for s in systems] for k in rows], float),
             ]
         )
-        weight = 1.0 / np.append(sigma_m[rows], held.sigma_m)
-        asked = np.append(misfit[rows], held.values_m)
+        weight = 1.0 / np.append(sigma_m[rows], beside.sigma)
+        asked = np.append(misfit[rows], beside.values)
         x, _, rank, _ = np.linalg.lstsq(
-            np.vstack([H, held.H]) * weight[:, np.newaxis], asked * weight
+            np.vstack([H, beside.H]) * weight[:, np.newaxis], asked * weight
         )
         if rank < unknowns:
             return _Failure(f"geometry of {len(rows)} satellites is singular", low)
@@ -220,7 +227,8 @@ def _adjust(
         r_e_m,
         biases_m,
         H,
-        held,
+        beside,
+        beside.values - beside.H @ x,
         sigma_m,
         misfit - moved_m - own_m,
         azimuth,
@@ -229,30 +237,6 @@ def _adjust(
         sight,
         low,
     )
-
-
-def _between_systems(time: GpsTime, previous: NavSolution | None) -> dict[str, tuple[float, float]]:
-    """Biases against GPS and their 1σ, m, as a solution before left them."""
-    if previous is None or not previous.valid:
-        return {}
-    walked_m = _BETWEEN_M_RTS * np.sqrt(abs(time.since(previous.time)))
-    return {
-        system: (
-            SPEED_OF_LIGHT_MPS * previous.isb_s[system],
-            float(np.hypot(SPEED_OF_LIGHT_MPS * sigma_s, walked_m)),
-        )
-        for system, sigma_s in previous.isb_sigma_s.items()
-    }
-
-
-def _held(systems: list[str], known_m: Mapping[str, tuple[float, float]]) -> _Held:
-    """Rows "clock of a system − clock of GPS = bias", for those known."""
-    told = [s for s in systems[1:] if s in known_m] if systems[:1] == ["G"] else []
-    H = np.zeros((len(told), 3 + len(systems)))
-    for row, system in enumerate(told):
-        H[row, 3], H[row, 3 + systems.index(system)] = -1.0, 1.0
-    values, sigmas = ([known_m[s][k] for s in told] for k in (0, 1))
-    return _Held(H, np.array(values), np.array(sigmas))
 
 
 def _is_gross(fix: _Fix | _Failure) -> bool:
@@ -299,7 +283,11 @@ class _Velocity(NamedTuple):
 
 
 def _velocity(
-    parameters: PvtParameters, measured: Measured, fix: _Fix, rejected: dict[str, str]
+    parameters: PvtParameters,
+    measured: Measured,
+    fix: _Fix,
+    rejected: dict[str, str],
+    place: Place | None,
 ) -> _Velocity:
     """Velocity and clock drift from the Dopplers of the satellites used for the position."""
     sight = fix.sight
@@ -313,15 +301,25 @@ def _velocity(
     )
     sigma = rate_sigma(parameters.errors, measured.cn0_dbhz)
     rows = np.flatnonzero(fix.used & np.isfinite(misfit))
-    while len(rows) >= 4:
-        A = H[rows] / sigma[rows, np.newaxis]
-        x, _, rank, _ = np.linalg.lstsq(A, misfit[rows] / sigma[rows])
+    told_H, told = np.zeros((0, 4)), np.zeros(0)
+    if place is not None:
+        told_H = np.column_stack([whitening(place.velocity_covariance_m2ps2), np.zeros(3)])
+        told = told_H[:, :3] @ place.v_e_mps
+    while len(rows) >= max(4 - len(told), 1):
+        A = np.vstack([H[rows] / sigma[rows, np.newaxis], told_H])
+        x, _, rank, _ = np.linalg.lstsq(A, np.append(misfit[rows] / sigma[rows], told))
         if rank < 4:
             break
         residuals = misfit[rows] - H[rows] @ x
         excluded: tuple[int, ...] = ()
         if parameters.raim:
-            verdict = check_residuals(H[rows], residuals, sigma[rows], parameters.false_alarm)
+            verdict = check_residuals(
+                np.vstack([H[rows], told_H]),
+                np.append(residuals, told - told_H @ x),
+                np.append(sigma[rows], np.ones(len(told))),
+                parameters.false_alarm,
+                excludable=len(rows),
+            )
             if not verdict.passed:
                 break
             excluded = verdict.excluded
@@ -341,20 +339,22 @@ def _solution(
     measured: Measured,
     fix: _Fix,
     rejected: dict[str, str],
+    place: Place | None,
 ) -> NavSolution:
-    velocity = _velocity(parameters, measured, fix, rejected)
+    velocity = _velocity(parameters, measured, fix, rejected, place)
     rows = np.flatnonzero(fix.used)
     reference, *others = fix.biases_m
     lat, lon, _ = geodetic(fix.r_e_m)
     # Columns as receiver clock and biases against it instead of one clock per system.
     H = fix.H.copy()
     H[:, 3] = 1.0
-    held = fix.held.H.copy()
-    held[:, 3] = 0.0
-    sigma_m = np.append(fix.sigma_m[rows], fix.held.sigma_m)
-    weighted = np.vstack([H, held]) / sigma_m[:, np.newaxis]
+    beside = fix.beside.H.copy()
+    beside[:, 3] = 0.0
+    sigma_m = np.append(fix.sigma_m[rows], fix.beside.sigma)
+    weighted = np.vstack([H, beside]) / sigma_m[:, np.newaxis]
     covariance_m2 = inverse(weighted.T @ weighted)
     between_m = np.sqrt(np.diagonal(covariance_m2)[4:])
+    placed = 0 if place is None else 3  # rows that are no satellites: they dilute nothing
     return NavSolution(
         time=epoch.time,
         valid=True,
@@ -374,7 +374,7 @@ def _solution(
         },
         covariance_m2=covariance_m2[:4, :4],
         velocity_covariance_m2ps2=velocity.covariance_m2ps2,
-        dops=dilutions(np.vstack([H, held]), C_ne(lat, lon)),
+        dops=dilutions(np.vstack([H, beside[: len(beside) - placed]]), C_ne(lat, lon)),
         used=tuple(measured.satellites[row] for row in rows),
         rejected=rejected,
         residuals_m={
@@ -392,7 +392,12 @@ def _solution(
 
 
 def dilutions(H: FloatArray, C_ne: FloatArray) -> dict[str, float]:
-    """Dilutions of precision of a design matrix (n, ≥ 4): position (ECEF), clock, biases."""
+    """Dilutions of precision of a design matrix (n, ≥ 4): position (ECEF), clock, biases.
+
+    Empty where the satellites alone make no position.
+    """
+    if np.linalg.matrix_rank(H) < H.shape[1]:
+        return {}
     Q = inverse(H.T @ H)
     n, e, d = np.einsum("ij,jk,ik->i", C_ne, Q[:3, :3], C_ne)
     return {

@@ -23,19 +23,21 @@ from deepgnss.receiver.atmosphere import (
 class ErrorModel:
     """Standard deviations that weigh the observations.
 
-    Range: σ² = (URA/2)² + multipath²/sin²E + code_noise²·10^((45 − C/N0)/10)
-              + (ionosphere·I)² + (troposphere·T)²
+    Range: σ² = (orbit·URA)² + multipath²/sin²E + code_noise²·10^((45 − C/N0)/10)
+              + (ionosphere·I)² + (troposphere·T)² + lasting²
     Range rate: σ² = rate_floor² + rate_noise²·10^((45 − C/N0)/10)
     where I and T are the modelled delays. A delay that is not modelled on purpose counts as
     absent; with Klobuchar asked for but its coefficients not yet known, a typical set serves, with
     the slant factor times `unknown_zenith` as its σ.
     """
 
+    orbit: float = 0.5  # of what a satellite claims for its orbit and clock
     multipath_m: float = 0.5
     code_noise_m: float = 0.6
     ionosphere: float = 0.4
     unknown_zenith_m: float = 3.0
     troposphere: float = 0.05
+    lasting_m: float = 0.0  # of whoever takes many epochs: errors that do not average
     rate_floor_mps: float = 0.05
     rate_noise_mps: float = 0.05
 
@@ -98,10 +100,11 @@ def range_sigma(
     accuracy_m = np.array([e.accuracy_m for e in ephemerides])
     return np.asarray(
         np.sqrt(
-            (accuracy_m / 2.0) ** 2
+            (model.orbit * accuracy_m) ** 2
             + (model.multipath_m / sin_el) ** 2
             + model.code_noise_m**2 * 10.0 ** ((45.0 - cn0_dbhz) / 10.0)
             + delay_variance_m2
+            + model.lasting_m**2
         )
     )
 
