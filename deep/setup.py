@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import NamedTuple
 
@@ -13,7 +13,9 @@ from deepgnss.core.frames import ecef
 from deepgnss.core.records import NavData, SignalId, StreamInfo
 from deepgnss.core.time import from_utc
 from deepgnss.deep.consistency import check_nav_date
+from deepgnss.deep.differential import DIFFERENTIAL, range_corrections
 from deepgnss.io.config import Config
+from deepgnss.io.config.receiver import PositioningConfig
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.receiver.acquisition import AcquisitionSettings
 from deepgnss.receiver.clock import NS
@@ -176,17 +178,24 @@ def receiver_settings(config: Config) -> ReceiverSettings:
             else None,
             weak_every_s=acquisition.weak_interval,
         ),
-        pvt=PvtParameters(
-            elevation_mask_rad=math.radians(positioning.elevation_mask),
-            ionosphere=positioning.ionosphere,
-            troposphere=positioning.troposphere,
-            raim=positioning.raim,
-        ),
+        pvt=_pvt(positioning),
         smoothing=positioning.smoothing,
         solve_between_outputs=config.imu is not None and config.deep.enabled,
         output_ns=round(config.output.interval * NS),
         solution_ns=round(config.deep.epoch * NS),
     )
+
+
+def _pvt(positioning: PositioningConfig) -> PvtParameters:
+    own = PvtParameters(
+        elevation_mask_rad=math.radians(positioning.elevation_mask),
+        ionosphere=positioning.ionosphere,
+        troposphere=positioning.troposphere,
+        raim=positioning.raim,
+    )
+    if positioning.base is None:
+        return own
+    return replace(DIFFERENTIAL, elevation_mask_rad=own.elevation_mask_rad, raim=positioning.raim)
 
 
 def limits(config: Config) -> tuple[str, ...]:
@@ -207,6 +216,11 @@ def initial_knowledge(config: Config, start: datetime | None) -> Knowledge:
     if config.nav is not None:
         nav = read_nav(config.nav)
         near = check_nav_date(nav, near, config.nav)
+    base = config.positioning.base
+    if base is not None and config.nav is None:
+        raise ConfigError("positioning.base: needs the orbits of a NAV file (nav)")
+    if base is not None:
+        nav = replace(nav, corrections=range_corrections(base, nav))
     place = config.position
     position_e_m = ecef(math.radians(place[0]), math.radians(place[1]), place[2]) if place else None
     return Knowledge(nav=nav, near=near, position_e_m=position_e_m)

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from deepgnss.io.config.quantity import Quantity, Section, Switch, misfit
+from deepgnss.io.config.quantity import ExistingFile, Quantity, Section, Switch, misfit
 
 BIT_MS = 20
 MAX_LOOP_PRODUCT = 0.4
@@ -213,6 +213,11 @@ class PositioningConfig(Section):
     troposphere: Literal["saastamoinen", "none"] = "saastamoinen"
     """Troposphere model."""
     outliers: OutliersConfig = OutliersConfig()
+    base: ExistingFile | None = None
+    """RINEX observations of a base station: its corrections make positions differential, without
+    models of the atmosphere. Needs `nav`."""
+    inertial: Switch = True
+    """Positions of an aided run take the inertial navigation as a measurement."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
