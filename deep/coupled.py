@@ -14,7 +14,8 @@ import numpy as np
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne
-from deepgnss.core.records import Event, FloatArray
+from deepgnss.core.records import Event, FloatArray, NavSolution
+from deepgnss.core.time import GpsTime
 from deepgnss.deep.aiding import AHEAD_S, Aider, Listener, Profile
 from deepgnss.deep.bridging import Bridge, Bridged, Loop, Tag
 from deepgnss.deep.guard import Guard, Unit
@@ -26,6 +27,7 @@ from deepgnss.deep.inertial import (
     wheel_speeds,
 )
 from deepgnss.deep.navigation import InertialInputs, Navigation, NavigationState
+from deepgnss.deep.placing import Placing
 from deepgnss.deep.screening import Screening, ScreenSettings
 from deepgnss.deep.setup import RunPlan
 from deepgnss.deep.tight import CLOCK_NOISE
@@ -62,6 +64,7 @@ class Navigated(NamedTuple):
     innovations: tuple[Innovation, ...] = ()
     moves: Mapping[str, Coast] = {}  # of channels in open loop at the last tag
     P: FloatArray | None = None  # of the navigation's errors but position, by the carrier phases
+    placed: Mapping[GpsTime, NavSolution] = {}  # at tags where it knew where the antenna is
 
 
 class CoupledNavigation:
@@ -74,6 +77,7 @@ class CoupledNavigation:
         bridge: Bridge,
         guard: Guard,
         screening: Screening | None = None,
+        placing: Placing | None = None,
         notes: tuple[str, ...] = (),
     ) -> None:
         """`notes`: what is odd about the inertial log."""
@@ -81,6 +85,7 @@ class CoupledNavigation:
         self.guard = guard
         self.screening = screening
         self.notes = notes
+        self._placing = placing
         self._aider = aider
         self._bridge = bridge
         self._aided = False  # in the last step
@@ -134,11 +139,13 @@ class CoupledNavigation:
     def after(self, receiver: Receiver, result: StepResult) -> Navigated:
         """Take an epoch's fixes; the navigation at their tags, and what it has to tell."""
         states: list[NavigationState] = []
+        found_at: list[tuple[Fix, NavigationState]] = []
         events: list[Event] = []
         moves: Mapping[str, Coast] = {}
         for fix in result.fixes:
             found = self.navigation.take([fix], receiver.nav)
             states += found
+            found_at += [(fix, state) for state in found]
             bridged = self._bridged(receiver, fix, found[0] if found else None)
             for slip in bridged.slips:
                 missing = None if slip.cycles is None else -slip.cycles
@@ -171,8 +178,17 @@ class CoupledNavigation:
             sample = clock.instant(to_ns(flag.time)).sample if (clock := receiver.clock) else 0
             what = "range refused" if flag.refused else "range accepted"
             events.append(Event(sample, flag.satellite, what, flag.reason))
+        placed: Mapping[GpsTime, NavSolution] = {}
+        if self._placing is not None and self._aided and self.guard.trusted:
+            take = self._placing.take
+            placed = {fix.epoch.time: take(fix, receiver.nav, state) for fix, state in found_at}
         return Navigated(
-            tuple(states), tuple(events), tuple(innovations), moves, self._bridge.errors_covariance
+            tuple(states),
+            tuple(events),
+            tuple(innovations),
+            moves,
+            self._bridge.errors_covariance,
+            placed,
         )
 
     def _bridged(self, receiver: Receiver, fix: Fix, state: NavigationState | None) -> Bridged:
@@ -262,4 +278,5 @@ def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNaviga
         None if imu.time_offset == "auto" else imu.time_offset,
     )
     guard = Guard(unit, CarrierLoop(*carrier))
-    return CoupledNavigation(Navigation(inputs), aider, bridge, guard, screening, notes)
+    placing = Placing(plan.settings.pvt) if config.positioning.inertial else None
+    return CoupledNavigation(Navigation(inputs), aider, bridge, guard, screening, placing, notes)

@@ -90,7 +90,7 @@ class Guard:
             self._watch.restart(contradicted=False)
         sigma_mps = np.inf
         if states:
-            sigma_mps = float(np.sqrt(np.trace(states[-1].antenna_covariance[3:, 3:]) / 3.0))
+            sigma_mps = float(np.sqrt(np.trace(states[-1].antenna.covariance[3:, 3:]) / 3.0))
             self._estimate = states[-1].estimate
         self._sideways += [e.time_s for e in told if _SIDEWAYS in e.reason]
         now_s = told[-1].time_s if told else -np.inf

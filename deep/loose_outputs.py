@@ -62,7 +62,7 @@ def write_state(table: TrajectoryTable, state: NavigationState) -> None:
     """Append the navigation of a receiver's tag."""
     ins, P = state.estimate.ins, state.estimate.P
     degrees = float(np.degrees(1.0))
-    lat_rad, lon_rad, height_m = geodetic(state.antenna_r_e_m)
+    lat_rad, lon_rad, height_m = geodetic(state.antenna.r_e_m)
     antenna = np.array([lat_rad * degrees, lon_rad * degrees, height_m])
     imu = np.array([ins.lat_rad * degrees, ins.lon_rad * degrees, ins.height_m])
     euler_deg = euler_rad(ins.q_nb) * degrees

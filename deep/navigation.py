@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,8 +42,8 @@ from deepgnss.receiver.receiver import Fix
 
 _REMEMBERED_S = 60.0  # fixes kept for an alignment
 # What a position's own σ leaves out: atmosphere and reflections last for seconds.
-_LASTING_M = 1.0
-_LASTING_S = 10.0
+LASTING_M = 1.0
+LASTING_S = 10.0
 _TRY_EVERY_S = 1.0  # between alignments tried
 
 
@@ -57,6 +58,14 @@ class InertialInputs:
     wheels: WheelSpeeds | None = None
     ranging: PvtParameters | None = None  # of tight coupling; None: loose, fixes are taken
     systems: tuple[str, ...] = ()
+
+
+class Antenna(NamedTuple):
+    """Position and velocity (ECEF) of the antenna, and their covariance."""
+
+    r_e_m: FloatArray  # (3,)
+    v_e_mps: FloatArray  # (3,)
+    covariance: FloatArray  # (6, 6), NED
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +91,10 @@ class NavigationState:
 
     time: GpsTime
     estimate: Estimate
-    antenna_r_e_m: FloatArray  # (3,)
-    antenna_v_e_mps: FloatArray  # (3,)
-    antenna_covariance: FloatArray  # (6, 6) of its position and velocity, NED
+    antenna: Antenna
+    expected: Antenna | None  # the same by all tags before; None without increments
     leg: Leg | None  # that led here; None without increments
+    together: float  # so many tags of ranges count as one, by their errors that last
 
 
 class Navigation:
@@ -168,12 +177,13 @@ class Navigation:
             self._go_on(self._coupling, taken)
             if self._coupling is not None:
                 leg = self._leg(self._coupling, start)
-                states.append(self._state(self._coupling, leg))
+                together = lasting_together(LASTING_S, apart_s)
+                states.append(self._state(self._coupling, leg, together))
         return states
 
     def _apart_s(self, time: GpsTime) -> float:
         """Time since the last tag that said where the antenna is."""
-        apart_s = time.since(self._placed) if self._placed is not None else _LASTING_S
+        apart_s = time.since(self._placed) if self._placed is not None else LASTING_S
         return max(apart_s, 1e-3)
 
     def _ranges(
@@ -183,8 +193,8 @@ class Navigation:
         inputs = self._inputs
         if inputs.ranging is None or nav is None or not fix.epoch.observations:
             return None
-        together = lasting_together(_LASTING_S, apart_s)
-        found = range_epoch(fix, nav, inputs.ranging, r_e_m, inputs.systems, _LASTING_M, together)
+        together = lasting_together(LASTING_S, apart_s)
+        found = range_epoch(fix, nav, inputs.ranging, r_e_m, inputs.systems, LASTING_M, together)
         self._placed = self._placed if found is None else fix.epoch.time
         return found
 
@@ -237,18 +247,15 @@ class Navigation:
             coupling.at_rest(float(way.time_s[-1])),
         )
 
-    def _state(self, coupling: Coupling, leg: Leg | None) -> NavigationState:
-        estimate, antenna = coupling.estimate, coupling.antenna()
-        H = np.vstack([antenna.H_position, antenna.H_velocity])
-        to_e = C_ne(estimate.ins.lat_rad, estimate.ins.lon_rad).T
-        return NavigationState(
-            estimate.ins.time,
-            estimate,
-            antenna.r_e_m,
-            to_e @ antenna.v_n_mps,
-            H @ estimate.P @ H.T,
-            leg,
-        )
+    def _state(self, coupling: Coupling, leg: Leg | None, together: float) -> NavigationState:
+        estimate, before, way = coupling.estimate, coupling.expected, coupling.carried
+        expected = None
+        if leg is not None:
+            lever_b_m, layout = self._inputs.settings.lever_b_m, before.layout
+            there = body_point(before.ins, way.omega_ib_b_radps[-1], lever_b_m, layout)
+            expected = _antenna(before, there)
+        antenna = _antenna(estimate, coupling.antenna())
+        return NavigationState(estimate.ins.time, estimate, antenna, expected, leg, together)
 
     # --- start and stop ----------------------------------------------------------------------
 
@@ -315,8 +322,14 @@ class Navigation:
         return self._inputs.block.origin.plus(time_s)
 
 
+def _antenna(estimate: Estimate, point: Point) -> Antenna:
+    H = np.vstack([point.H_position, point.H_velocity])
+    to_e = C_ne(estimate.ins.lat_rad, estimate.ins.lon_rad).T
+    return Antenna(point.r_e_m, to_e @ point.v_n_mps, H @ estimate.P @ H.T)
+
+
 def _weighed(fix: GnssFix, apart_s: float) -> GnssFix:
     """A fix of the receiver's own: errors that last, and a velocity only where it has one."""
     if fix.v_n_mps is not None and not np.isfinite(fix.v_n_mps).all():
         fix = replace(fix, v_n_mps=None, velocity_covariance_n_m2ps2=None)
-    return with_lasting_errors(fix, _LASTING_M, 0.0, _LASTING_S, apart_s)
+    return with_lasting_errors(fix, LASTING_M, 0.0, LASTING_S, apart_s)

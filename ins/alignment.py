@@ -318,7 +318,8 @@ class Alignment:
         P[inertial, inertial] = initial_covariance(
             self._grade, InitialSigmas(1.0, 1.0, 1.0, 1.0), layout.inertial, float("inf")
         )
-        P[POSITION, POSITION] = fix.covariance_n_m2
+        # Its errors last: this one fix is as good as all that count as one with it.
+        P[POSITION, POSITION] = fix.covariance_n_m2 / fix.together
         P[VELOCITY, VELOCITY] = float(self._track.sigma_mps[found.k]) ** 2 * np.eye(3)
         if fix.velocity_covariance_n_m2ps2 is not None:
             P[VELOCITY, VELOCITY] = fix.velocity_covariance_n_m2ps2

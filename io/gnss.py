@@ -24,6 +24,7 @@ _VELOCITY: Final = ("vn_mps", "ve_mps", "vd_mps")
 _POSITION_SIGMA: Final = ("sigma_n_m", "sigma_e_m", "sigma_d_m")
 _VELOCITY_SIGMA: Final = ("sigma_vn_mps", "sigma_ve_mps", "sigma_vd_mps")
 _OURS: Final = {"v_n_mps": "vn_mps", "v_e_mps": "ve_mps", "v_d_mps": "vd_mps"}
+_AIDED: Final = "aided"
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +97,9 @@ def _read_ours(path: Path) -> pd.DataFrame:
             raise InputFileError(f"{path}: column '{name}' is missing: not a solution.csv")
     if "valid" in frame:
         frame = frame[frame["valid"] == 1]
-    wanted = ["week", *_KFGINS, *_VELOCITY, *_POSITION_SIGMA, *_VELOCITY_SIGMA]
+    if "source" in frame:
+        frame = frame.assign(**{_AIDED: frame["source"] != "gnss"})
+    wanted = ["week", *_KFGINS, *_VELOCITY, *_POSITION_SIGMA, *_VELOCITY_SIGMA, _AIDED]
     with reading(path):
         return frame[[name for name in wanted if name in frame]].astype(np.float64)
 
@@ -129,6 +132,10 @@ def _log(path: Path, frame: pd.DataFrame) -> GnssLog:
     place = frame[["week", "tow_s", "lat_deg", "lon_deg", "height_m"]].to_numpy()
     good = np.isfinite(place).all(axis=1) & _positive(P)
     _say(faults, ~good, "fixes without a position or its σ left out")
+    if _AIDED in frame:
+        aided = good & (frame[_AIDED].to_numpy() > 0.0)
+        _say(faults, aided, "fixes that have an inertial navigation in them left out")
+        good &= ~aided
     time_s = (frame["week"] - frame["week"].min()).to_numpy() * SECONDS_PER_WEEK + place[:, 1]
     back = np.flatnonzero(np.diff(time_s[good]) < 0.0)
     if back.size:

@@ -30,6 +30,7 @@ _MPS_PER_KNOT = 1852.0 / 3600.0
 _TALKERS = {"G": "GP", "C": "GB"}
 _SYSTEM_IDS = {"G": "1", "C": "4"}  # NMEA 4.11 table 19
 _SIGNAL_IDS = {"GPS_L1CA": "1", "BDS_B1I": "1"}
+_QUALITIES = {"A": "1", "D": "2", "E": "6"}  # of GGA, by mode indicator
 _GSA_PLACES = 12
 _GSV_PLACES = 4
 
@@ -115,7 +116,10 @@ def _gga(s: NavSolution, clock: str) -> list[str]:
     lat, lon, height_m = geodetic(s.r_e_m)
     place = [*_latitude(lat), *_longitude(lon)]
     used = f"{len(s.used):02d}"
-    return [clock, *place, "1", used, _dop(s, "hdop"), f"{height_m:.3f}", "M", "0.0", "M", "", ""]
+    return [
+        *(clock, *place, _QUALITIES[_mode(s)], used, _dop(s, "hdop")),
+        *(f"{height_m:.3f}", "M", "0.0", "M", "", ""),
+    ]
 
 
 def _rmc(s: NavSolution, clock: str, date: str) -> list[str]:
@@ -126,7 +130,7 @@ def _rmc(s: NavSolution, clock: str, date: str) -> list[str]:
     place = [*_latitude(lat), *_longitude(lon)]
     motion = [f"{speed_mps / _MPS_PER_KNOT:.3f}", f"{course_deg:.2f}"]
     # Navigational status V: this equipment gives no integrity indication (4.11).
-    return [clock, "A", *place, *motion, date, "", "", "A", "V"]
+    return [clock, "A", *place, *motion, date, "", "", _mode(s), "V"]
 
 
 def _vtg(s: NavSolution) -> list[str]:
@@ -134,7 +138,12 @@ def _vtg(s: NavSolution) -> list[str]:
         return ["", "T", "", "M", "", "N", "", "K", "N"]
     speed_mps, course_deg = _speed_course(s)
     knots, kmh = f"{speed_mps / _MPS_PER_KNOT:.3f}", f"{speed_mps * 3.6:.3f}"
-    return [f"{course_deg:.2f}", "T", "", "M", knots, "N", kmh, "K", "A"]
+    return [f"{course_deg:.2f}", "T", "", "M", knots, "N", kmh, "K", _mode(s)]
+
+
+def _mode(s: NavSolution) -> str:
+    """Mode indicator: autonomous, differential, or estimated: by dead reckoning alone."""
+    return "E" if s.source == "ins" else "D" if s.differential else "A"
 
 
 def _gst(s: NavSolution, clock: str) -> list[str]:
@@ -203,7 +212,7 @@ class NmeaLog:
     lat_rad: FloatArray
     lon_rad: FloatArray
     height_m: FloatArray
-    quality: NDArray[np.int64]  # of GGA: 0 no fix, 1 autonomous, 2 differential, 4 fixed, 5 float
+    quality: NDArray[np.int64]  # of GGA: 0 none, 1 autonomous, 2 differential, 4, 5 RTK, 6 dead
     used: NDArray[np.int64]
     speed_mps: FloatArray
     course_rad: FloatArray

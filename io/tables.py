@@ -59,6 +59,7 @@ class SolutionTable(Table):
         *("sigma_n_m", "sigma_e_m", "sigma_d_m", "sigma_clock_m"),
         *("sigma_vn_mps", "sigma_ve_mps", "sigma_vd_mps"),
         *("gdop", "pdop", "hdop", "vdop", "tdop", "used", "satellites", "rejected", "reason"),
+        "source",
     )
 
     def write(self, solution: NavSolution) -> None:
@@ -66,6 +67,7 @@ class SolutionTable(Table):
         s = solution
         rejected = "; ".join(f"{name} {s.rejected[name]}" for name in sorted(s.rejected))
         satellites = [str(len(s.used)), " ".join(sorted(s.used)), rejected, s.reason]
+        satellites.append(s.source if s.valid else "")
         dops = _numbers((s.dops.get(name, math.nan) for name in _DOPS), 3)
         if not s.valid:
             blanks = [""] * (len(self.columns) - 3 - len(dops) - len(satellites))

@@ -11,15 +11,24 @@ import numpy as np
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS as C
 from deepgnss.core.frames import C_ne
-from deepgnss.core.records import Epoch, FloatArray, NavData, Observation, SampleInstant
+from deepgnss.core.records import (
+    Epoch,
+    FloatArray,
+    NavData,
+    NavSolution,
+    Observation,
+    SampleInstant,
+)
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.inertial import clock_sigmas
 from deepgnss.deep.navigation import InertialInputs, Navigation
+from deepgnss.deep.placing import Placing
 from deepgnss.deep.screening import Flag, Screening, ScreenSettings
 from deepgnss.deep.tight import CLOCK_NOISE
 from deepgnss.ins import AlignmentSettings, Layout, Settings
 from deepgnss.ins.imu_errors import ImuErrors
 from deepgnss.ins.increments import joined
+from deepgnss.ins.updates import Innovation
 from deepgnss.io.config.imu_grade import imu_grade
 from deepgnss.receiver import pvt
 from deepgnss.receiver.receiver import Fix
@@ -152,6 +161,9 @@ class Driven:
     sigma_n_m: list[FloatArray] = field(default_factory=list)
     flags: list[Flag] = field(default_factory=list)
     events: list[str] = field(default_factory=list)
+    innovations: list[Innovation] = field(default_factory=list)
+    alone: list[NavSolution] = field(default_factory=list)  # by ranges only
+    placed: list[NavSolution] = field(default_factory=list)  # with the navigation, where asked for
 
     def ever_refused(self, since_s: float = 0.0, until_s: float = np.inf) -> set[str]:
         """Satellites refused at some time."""
@@ -172,7 +184,12 @@ class Driven:
         return self.error_n_m[int(np.searchsorted(self.time_s, time_s - 1e-6))]
 
 
-def drive(given: World, fault: Fault = sound, settings: ScreenSettings | None = None) -> Driven:
+def drive(
+    given: World,
+    fault: Fault = sound,
+    settings: ScreenSettings | None = None,
+    placing: Placing | None = None,
+) -> Driven:
     """Run navigation, outlier test and positions through all tags, as the engine does."""
     navigation = Navigation(given.inputs)
     screening = Screening(PARAMETERS, settings or ScreenSettings(), RATE_HZ)
@@ -190,12 +207,17 @@ def drive(given: World, fault: Fault = sound, settings: ScreenSettings | None = 
             refused = dict(screen(epoch)) if epoch.observations else {}
         solution = pvt.solve(epoch, given.nav, PARAMETERS, previous, refused)
         previous = solution if solution.valid else previous
-        states = navigation.take([Fix(epoch, solution, True)], given.nav)
+        fix = Fix(epoch, solution, True)
+        states = navigation.take([fix], given.nav)
+        if placing is not None and states:
+            out.placed.append(placing.take(fix, given.nav, states[0]))
+        out.alone.append(solution)
         off, sigma = np.full(3, np.nan), np.full(3, np.nan)
         if states:
-            off = to_n @ (states[0].antenna_r_e_m - given.antenna_e_m(float(time_s)))
-            sigma = np.sqrt(np.diagonal(states[0].antenna_covariance)[:3])
-        told, _ = navigation.news()
+            off = to_n @ (states[0].antenna.r_e_m - given.antenna_e_m(float(time_s)))
+            sigma = np.sqrt(np.diagonal(states[0].antenna.covariance)[:3])
+        told, innovations = navigation.news()
+        out.innovations += innovations
         out.events += [event.what for event in told]
         out.time_s.append(float(time_s))
         out.refused.append(refused)

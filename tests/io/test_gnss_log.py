@@ -124,3 +124,15 @@ def test_real_solution_is_that_of_the_truth_reader(shared_data: Path) -> None:
     assert log.time(0) == truth.start
     sigma = np.sqrt(np.diagonal(log.covariance_n_m2, axis1=1, axis2=2))
     assert 0.005 < np.median(sigma) < 0.02
+
+
+def test_fixes_with_a_navigation_in_them_are_no_news_to_one(tmp_path: Path) -> None:
+    row = f"1,{LAT},{LON},{HEIGHT},0,1,2,3,1.5,2.5,3.5,0.1,0.2,0.3"
+    head = OURS.replace("\n", ",source\n")
+    rows = [f"2300,{100.0 + k},{row},{s}\n" for k, s in enumerate(("gnss", "gnss+ins", "ins"))]
+    log = read_gnss(written(tmp_path / "solution.csv", head + "".join(rows)))
+    assert log.tow_s.tolist() == [100.0]
+    (fault,) = log.faults
+    assert fault.endswith("fixes that have an inertial navigation in them left out: 2")
+    with pytest.raises(InputFileError, match="no fix"):
+        read_gnss(written(tmp_path / "aided.csv", head + rows[1]))

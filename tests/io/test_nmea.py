@@ -1,5 +1,7 @@
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,6 +63,23 @@ def test_pynmeagps_understands_every_sentence(tmp_path: Path) -> None:
     # σ north 2 m, east 1 m: the major axis points north.
     assert (gst.stdMajor, gst.stdMinor, gst.orient) == (2.0, 1.0, 0.0)
     assert (gst.stdLat, gst.stdLong, gst.stdAlt, gst.rangeRms) == (2.0, 1.0, 3.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "quality", "mode"),
+    [
+        ({"source": "gnss+ins"}, 1, "A"),
+        ({"differential": True}, 2, "D"),
+        ({"source": "ins", "differential": True, "used": (), "dops": {}}, 6, "E"),
+    ],
+)
+def test_a_fix_says_what_it_is_made_of(
+    changes: dict[str, Any], quality: int, mode: str, tmp_path: Path
+) -> None:
+    path = _write(tmp_path / "a.nmea", (replace(solution(), **changes), epoch([observation()])))
+    by_kind = {m.msgID: m for m in _parse(path)}
+    assert by_kind["GGA"].quality == quality
+    assert (by_kind["RMC"].posMode, by_kind["VTG"].posMode) == (mode, mode)
 
 
 def test_no_fix_says_so_and_still_lists_signals(tmp_path: Path) -> None:

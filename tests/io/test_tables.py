@@ -27,6 +27,7 @@ def test_solution_row(tmp_path: Path) -> None:
         table.write(solution(time=NOON.plus(0.1)))
     frame = pd.read_csv(path)
     none, row = frame.iloc[0], frame.iloc[1]
+    assert np.isnan(none["source"])
     assert (none["valid"], none["reason"]) == (0, "3 satellites, 4 needed")
     assert none[["lat_deg", "x_e_m", "v_n_mps", "sigma_d_m", "hdop"]].isna().all()
     assert (row["week"], row["tow_s"], row["valid"]) == (2190, 561_628.1, 1)
@@ -39,6 +40,7 @@ def test_solution_row(tmp_path: Path) -> None:
     assert (row["clock_s"], row["drift_sps"]) == (1.5e-7, -2.5e-9)
     assert (row["used"], row["satellites"]) == (4, "G05 G12 G25 G31")
     assert row["rejected"] == "G22 unhealthy"
+    assert row["source"] == "gnss"
 
 
 def test_every_row_has_every_column(tmp_path: Path) -> None:
