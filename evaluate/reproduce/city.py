@@ -1,40 +1,30 @@
 """CITY-PR, CITY-RTK, CITY-EXIT: a drive through a city, with and without aiding, T 6.6.
 
-Ranges are corrected by those of a base station, satellite by satellite; positions come from the
-receiver's own adjustment, epoch by epoch, of the ranges it has not refused. No filter smooths them.
+Positions are the receiver's own, differential by the ranges of a base station. Unaided they are
+the adjustment of a tag's ranges; aided, of those and of the antenna as the inertial navigation
+expects it. Fixed is, in every run, a tag with at least one satellite in its position and a
+horizontal 1σ of at most 10 m: without aid that takes four satellites. Tags count from when the
+last run has its first position: how long a start takes is another row's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne, ecef, geodetic
-from deepgnss.core.records import (
-    SIGNAL_IDS,
-    Epoch,
-    FloatArray,
-    NavData,
-    NavSolution,
-    Observation,
-    SampleInstant,
-)
-from deepgnss.core.time import GpsTime
+from deepgnss.core.records import NavSolution
+from deepgnss.deep.placing import horizontal_sigma_m
 from deepgnss.evaluate.metrics import GROSS_M
 from deepgnss.evaluate.reproduce.city_rtk import added, counted
 from deepgnss.evaluate.reproduce.table import Figure
 from deepgnss.evaluate.reproduce.whole_receiver import Recording, recorded, started
 from deepgnss.evaluate.rtk import Shares
-from deepgnss.io.rinex_nav import read_nav
-from deepgnss.io.rinex_obs_reader import read_obs
-from deepgnss.receiver import pvt
-from deepgnss.receiver.measured import ranges_from
 from deepgnss.receiver.receiver import Fix
 
 RUNS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -46,6 +36,7 @@ RUNS: Final[Mapping[str, tuple[str, ...]]] = {
 PLAIN, FULL, *AIDED = RUNS
 RATIOS: Final = (3.61 / 0.80, 1.50 / 0.93, 0.89 / 0.69, 9.25 / 2.90)  # σ N, σ E, CEP, gross
 FIXED: Final = 0.995
+FIXED_SIGMA_M: Final = 10.0
 EXIT_S: Final = 1.0
 RTK_GAIN: Final = 1.3  # right fixes over those of the unaided run
 
@@ -54,7 +45,6 @@ _SETTINGS: Final = (
     "tracking.code.spacing=0.1",
     "positioning.outliers.threshold=3.0",
 )
-_NO_AIR: Final = pvt.PvtParameters(ionosphere="none", troposphere="none")  # the base saw it, too
 _TAGS_HZ: Final = 10
 _QUICK_S: Final = 64.0
 _DARK_S: Final = 2.0  # without a single satellite: a tunnel
@@ -65,7 +55,7 @@ class Drive(NamedTuple):
     """One recording: what was in sight at every tag, and the runs' tables by name."""
 
     unblocked: pd.Series  # satellites above the mask in sight, by tag
-    runs: dict[str, pd.DataFrame]  # index tag: own fix, north_m, east_m of the differential one
+    runs: dict[str, pd.DataFrame]  # index tag: satellites used, errors north_m, east_m where fixed
     rtk: Mapping[str, Shares | None] = {}  # None: RTKLIB is not installed
 
 
@@ -75,8 +65,6 @@ def drive(seed: int, quick: bool) -> Drive:
     settings = [f"start=2023-11-30T{(9 + 5 * seed) % 24:02d}:10:38Z"]
     settings += [f"seconds={_QUICK_S}"] if quick else []
     with recorded("city", seed, *settings) as recording:
-        nav = read_nav(recording.folder / "nav.rnx")
-        corrections = _corrections(recording, nav)
         truth = _truth(recording)
         mask_deg = 10.0
         seen = pd.read_csv(recording.folder / "ranges.csv")
@@ -86,7 +74,7 @@ def drive(seed: int, quick: bool) -> Drive:
         runs, rtk = {}, {}
         for name, own in RUNS.items():
             fixes = _fixes(recording, own)
-            runs[name] = _table(fixes, nav, corrections, truth, raim=name != PLAIN)
+            runs[name] = _table(fixes, truth)
             rtk[name] = counted(recording.folder, fixes, 1.0 / _TAGS_HZ)
     return Drive(unblocked, runs, rtk)
 
@@ -107,95 +95,32 @@ def _truth(recording: Recording) -> pd.DataFrame:
 
 
 def _fixes(recording: Recording, settings: Sequence[str]) -> list[Fix]:
-    with started(recording, *_SETTINGS, *settings) as (_, _, engine):
+    base = f"positioning.base={recording.folder / 'base.obs'}"
+    with started(recording, base, *_SETTINGS, *settings) as (_, _, engine):
         return [fix for result in engine.steps() for fix in result.fixes if fix.output]
 
 
-# --- differential positions ----------------------------------------------------------------------
-
-
-def _corrections(recording: Recording, nav: NavData) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """By satellite, times (tow) and how much longer the base's ranges are than geometry tells.
-
-    The base's clock, common to all, goes into the rover's.
-    """
-    base = read_obs(recording.folder / "base.obs")
-    if base.position_e_m is None:
-        raise ValueError("base.obs: no position")
-    open_sky = replace(_NO_AIR, elevation_mask_rad=0.0)
-    found: dict[str, list[tuple[float, float]]] = {}
-    codes = {"G": "C1C", "C": "C2I"}
-    for _, rows in base.frame.groupby("tow_s"):
-        time = GpsTime(int(rows["week"].iloc[0]), float(rows["tow_s"].iloc[0]))
-        observations = tuple(
-            _bare(str(name), float(rows[codes[str(name)[0]]].iloc[k]), time)
-            for k, name in enumerate(rows["satellite"])
-        )
-        seen = ranges_from(
-            Epoch(time, SampleInstant(0, 0.0), observations), nav, open_sky, base.position_e_m
-        )
-        for satellite, misfit_m in zip(seen.satellites, seen.misfit_m, strict=True):
-            found.setdefault(satellite, []).append((time.tow_s, float(misfit_m)))
-    return {
-        name: (column[:, 0], column[:, 1])
-        for name, column in ((name, np.array(pairs)) for name, pairs in found.items())
-    }
-
-
-def _bare(satellite: str, range_m: float, time: GpsTime) -> Observation:
-    signal = next(s.name for s in SIGNAL_IDS.values() if s.system == satellite[0])
-    sent = time.plus(-range_m / SPEED_OF_LIGHT_MPS)
-    return Observation(
-        satellite, signal, range_m, 0.0, np.nan, 45.0, 1.0, False, False, False, sent
-    )
-
-
-def differential(
-    fix: Fix,
-    nav: NavData,
-    corrections: Mapping[str, tuple[FloatArray, FloatArray]],
-    *,
-    raim: bool,
-) -> NavSolution:
-    """Position of a tag from its ranges less the base's corrections.
-
-    What the receiver's own position left out stays out: an outlier does, whoever found it.
-    """
-    tow_s = fix.epoch.time.tow_s
-    corrected = tuple(
-        replace(
-            o, pseudorange_m=o.pseudorange_m - float(np.interp(tow_s, *corrections[o.satellite]))
-        )
-        for o in fix.epoch.observations
-        if o.satellite in corrections
-    )
-    parameters = replace(_NO_AIR, raim=raim)
-    start = fix.solution if fix.solution.valid else None
-    out = {s: why for s, why in fix.solution.rejected.items() if why.startswith(("range", "resid"))}
-    return pvt.solve(replace(fix.epoch, observations=corrected), nav, parameters, start, out)
-
-
-def _table(
-    fixes: Sequence[Fix],
-    nav: NavData,
-    corrections: Mapping[str, tuple[FloatArray, FloatArray]],
-    truth: pd.DataFrame,
-    *,
-    raim: bool,
-) -> pd.DataFrame:
+def _table(fixes: Sequence[Fix], truth: pd.DataFrame) -> pd.DataFrame:
     rows = {}
     for fix in fixes:
-        tag = round(fix.epoch.time.tow_s * _TAGS_HZ)
-        if tag not in truth.index:
+        tag, own = round(fix.epoch.time.tow_s * _TAGS_HZ), fix.solution
+        if tag not in truth.index or not _is_fixed(own):
             continue
         r_e_m = truth.loc[tag].to_numpy()
         lat_rad, lon_rad, _ = geodetic(r_e_m)
-        found = differential(fix, nav, corrections, raim=raim)
-        north_m, east_m, _ = C_ne(lat_rad, lon_rad) @ (found.r_e_m - r_e_m)
-        rows[tag] = (fix.solution.valid, north_m, east_m)
-    columns = ["fixed", "north_m", "east_m"]
+        north_m, east_m, _ = C_ne(lat_rad, lon_rad) @ (own.r_e_m - r_e_m)
+        rows[tag] = (len(own.used), north_m, east_m)
+    columns = ["used", "north_m", "east_m"]
     table = pd.DataFrame.from_dict(rows, orient="index", columns=columns).reindex(truth.index)
-    return table.assign(fixed=table["fixed"].eq(True))
+    return table.assign(used=table["used"].fillna(0))
+
+
+def _is_fixed(solution: NavSolution) -> bool:
+    return (
+        solution.valid
+        and len(solution.used) > 0
+        and horizontal_sigma_m(solution.covariance_m2, solution.r_e_m) <= FIXED_SIGMA_M
+    )
 
 
 # --- figures -------------------------------------------------------------------------------------
@@ -217,7 +142,7 @@ class Spread(NamedTuple):
 
 def spreads(drives: Sequence[Drive]) -> dict[str, Spread]:
     """Errors over the epochs that all runs have, fixes over all with enough satellites in sight."""
-    due = [(d.unblocked >= _NEEDED).to_numpy() for d in drives]
+    due = [_due(d) for d in drives]
     shared = [
         own & np.logical_and.reduce([run["north_m"].notna().to_numpy() for run in d.runs.values()])
         for own, d in zip(due, drives, strict=True)
@@ -236,6 +161,12 @@ def spreads(drives: Sequence[Drive]) -> dict[str, Spread]:
             float(have.notna().mean()),
         )
     return found
+
+
+def _due(seen: Drive) -> NDArray[np.bool_]:
+    """Tags with enough satellites in sight, from when every run has begun."""
+    begun = [run["north_m"].notna().cummax().to_numpy() for run in seen.runs.values()]
+    return np.asarray(np.logical_and.reduce([(seen.unblocked >= _NEEDED).to_numpy(), *begun]))
 
 
 def _judged(own: Spread, plain: Spread, full: Spread) -> tuple[str, bool]:
@@ -261,9 +192,9 @@ def measure(quick: bool, seeds: Sequence[int]) -> list[Figure]:
 
 
 def exits_s(seen: Drive, name: str) -> list[float]:
-    """After every tunnel, time from enough satellites in sight to the first fix."""
+    """After every tunnel, time from enough satellites in sight to the first fix with as many."""
     tags, count = seen.unblocked.index.to_numpy(), seen.unblocked.to_numpy()
-    fixed = seen.runs[name]["fixed"].to_numpy()
+    fixed = (seen.runs[name]["used"] >= _NEEDED).to_numpy()
     waits, dark_since = [], None
     for k, number in enumerate(count):
         if number == 0:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from deepgnss.core.records import Epoch, SampleInstant
 from deepgnss.core.time import GpsTime
+from deepgnss.deep.differential import DIFFERENTIAL, bare_observation, range_corrections
 from deepgnss.evaluate.reproduce import city
 from deepgnss.evaluate.reproduce.city_rtk import added
 from deepgnss.evaluate.reproduce.whole_receiver import recorded
@@ -15,41 +18,41 @@ from deepgnss.evaluate.rtk import Shares
 from deepgnss.io.rinex_nav import read_nav
 from deepgnss.io.rinex_obs_reader import read_obs
 from deepgnss.receiver import pvt
-from deepgnss.receiver.receiver import Fix
 
 _EXACT = ("seconds=3", "base={offset: [500, 400, -3], interval: 1, code_noise: 0}")
 
 
 def test_a_perfect_rover_is_found_by_corrections_alone() -> None:
-    """Without them, and without models, it would be metres off; what was refused stays out."""
+    """Without them, and without models, it would be metres off."""
     with recorded("city", 1, *_EXACT) as given:
         nav = read_nav(given.folder / "nav.rnx")
-        corrections = city._corrections(given, nav)
+        corrections = range_corrections(given.folder / "base.obs", nav)
         truth = city._truth(given)
         rover = read_obs(given.folder / "rover.obs").frame
     (week, tow_s), rows = next(iter(rover.groupby(["week", "tow_s"])))
     time = GpsTime(int(week), float(tow_s))
     observations = tuple(
-        city._bare(str(name), float(rows[code].iloc[k]), time)
+        bare_observation(str(name), float(rows[code].iloc[k]), time)
         for k, name in enumerate(rows["satellite"])
         for code in [{"G": "C1C", "C": "C2I"}[str(name)[0]]]
         if np.isfinite(rows[code].iloc[k])
     )
     epoch = Epoch(time, SampleInstant(0, 0.0), observations)
-    refused = {observations[0].satellite: "range +9.0 m off"}
-    fix = Fix(epoch, pvt.unsolved(time, "", refused), True)
-    found = city.differential(fix, nav, corrections, raim=True)
+    found = pvt.solve(epoch, replace(nav, corrections=corrections), DIFFERENTIAL)
     assert found.valid, found.reason
-    assert observations[0].satellite not in found.used
+    assert found.differential
     off_m = found.r_e_m - truth.loc[round(tow_s * 10)].to_numpy()
     assert np.linalg.norm(off_m) < 0.1
-    bare = pvt.PvtParameters(ionosphere="none", troposphere="none", raim=False)
+    bare = replace(DIFFERENTIAL, raim=False)
     assert np.linalg.norm(pvt.solve(epoch, nav, bare).r_e_m - found.r_e_m) > 2.0
+    unseen = dict(list(corrections.items())[1:])
+    fewer = pvt.solve(epoch, replace(nav, corrections=unseen), DIFFERENTIAL)
+    assert fewer.rejected == {next(iter(corrections)): "no correction of the base's"}
 
 
 def _drive(fixed: list[bool], north_m: list[float], unblocked: list[int]) -> city.Drive:
     tags = pd.RangeIndex(1000, 1000 + len(fixed))
-    run = pd.DataFrame({"fixed": fixed, "north_m": north_m, "east_m": 0.0}, index=tags)
+    run = pd.DataFrame({"used": 4 * np.array(fixed), "north_m": north_m, "east_m": 0.0}, index=tags)
     return city.Drive(pd.Series(unblocked, index=tags), dict.fromkeys(city.RUNS, run))
 
 
