@@ -32,6 +32,9 @@ _ROWS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
 )
 
 
+_NOTE = "Epochs are those at which something was observed; the shares below are of all instants."
+
+
 def worth(folders: Sequence[Path]) -> list[tuple[str, ...]]:
     """Rows of a name and a figure per run; without truth nothing is said of errors."""
     runs = [metrics(Path(folder)) for folder in folders]
@@ -51,6 +54,6 @@ def write_worth_report(
     """Write report.html of the runs side by side, the table of `worth` first; returns its path."""
     path = folder / "report.html"
     found = compared([read_source(own, name) for name, own in runs.items()], Yardstick(truth))
-    sheet = figure("What aiding was worth", table(["", *runs], rows))
+    sheet = figure("What aiding was worth", table(["", *runs], rows), note=_NOTE)
     write_comparison_report(found, path, sheet)
     return path

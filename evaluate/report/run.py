@@ -33,6 +33,7 @@ from deepgnss.evaluate.report.stretches import (
     named,
     outages,
     stretches,
+    with_missing_epochs,
     write_stretches,
 )
 from deepgnss.evaluate.report.style import STYLE
@@ -99,7 +100,8 @@ def read_run_files(folder: Path) -> RunFiles:
 
 def with_sections(run: RunFiles, folder: Path, sections: tuple[Section, ...]) -> RunFiles:
     """The run cut by sections of the way; what each came to is written to stretches.csv."""
-    found = stretches(run.solution, run.errors, named(sections, run.start_s))
+    whole = with_missing_epochs(run.solution)
+    found = stretches(whole, run.errors, named(sections, run.start_s))
     write_stretches(folder / STRETCHES, found, run.start_s)
     return replace(run, sections=sections)
 
@@ -116,6 +118,7 @@ def write_run_report(folder: Path, run: RunFiles | None = None) -> Path:
 
 def run_page(run: RunFiles) -> str:
     """The page of a run."""
+    run = replace(run, solution=with_missing_epochs(run.solution))
     lost = outages(run.solution, run.errors)
     dark = [(one.start_s, one.end_s) for one in lost]
     parts: list[Part] = [
@@ -169,7 +172,8 @@ def _head(run: RunFiles) -> Html:
 
 def _facts(run: RunFiles, lost: list[Outage]) -> list[tuple[str, str]]:
     valid = run.solution["valid"] == 1
-    facts = [(percent(float(valid.mean()) if len(valid) else math.nan), "epochs with a position")]
+    fixed = float(valid.mean()) if len(valid) else math.nan
+    facts = [(percent(fixed), "of the instants with a position")]
     first_s = run.summary.get("first_fix_s")
     facts.append(("none" if first_s is None else f"{first_s:.1f} s", "to the first position"))
     if run.errors is not None and run.errors["horizontal_m"].notna().any():

@@ -26,6 +26,7 @@ _MODES: Final = {
     "FFT": ("var(--fft)", "FFT: weak, frequency by spectrum"),
     "pull-in": ("var(--pull)", "pull-in"),
     "hold": ("var(--hold)", "hold: no signal, coasting"),
+    "lost": ("var(--other)", "lost"),
 }
 _PLAIN: Final = ("var(--other)", "as the log tells it")
 

@@ -18,6 +18,7 @@ from deepgnss.evaluate.positions import Section
 from deepgnss.io.output import write_whole
 from deepgnss.io.tables import number
 
+_NOTHING: Final = "nothing observed"
 _MOST: Final = 12
 _LENGTHS_S: Final = (5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600)
 
@@ -122,6 +123,26 @@ def _percentile(sizes: FloatArray, share: float) -> float:
     return float(np.percentile(sizes, share)) if sizes.size else math.nan
 
 
+def with_missing_epochs(solution: pd.DataFrame) -> pd.DataFrame:
+    """A solution with a row without position for every epoch at which nothing was observed.
+
+    Parameters: solution: with `s`, time since the start of the recording.
+    """
+    times = solution["s"].to_numpy(np.float64)
+    if len(times) < 3:
+        return solution
+    interval_s = float(np.median(np.diff(times)))
+    place = np.round((times - times[0]) / interval_s).astype(np.int64)
+    if np.any(np.diff(place) < 1):
+        return solution
+    every = np.arange(place[-1] + 1)
+    whole = solution.set_index(place).reindex(every)
+    whole["s"] = whole["s"].fillna(pd.Series(times[0] + every * interval_s, index=every))
+    missing = pd.Series(~np.isin(every, place), index=every)
+    counted = {name: whole[name].mask(missing, 0.0) for name in ("valid", "used")}
+    return whole.assign(**counted, reason=whole["reason"].mask(missing, _NOTHING))
+
+
 def outages(solution: pd.DataFrame, errors: pd.DataFrame | None) -> list[Outage]:
     """All times without a position between the first and the last one."""
     valid = solution["valid"].to_numpy() == 1
@@ -152,7 +173,7 @@ def outages(solution: pd.DataFrame, errors: pd.DataFrame | None) -> list[Outage]
 
 def _usual(reasons: Sequence[str] | pd.Series) -> str:
     known = pd.Series(reasons).dropna()
-    return str(known.mode().iloc[0]) if len(known) else "no epoch"
+    return str(known.mode().iloc[0]) if len(known) else _NOTHING
 
 
 def _good(errors: pd.DataFrame | None, end_s: float, until_s: float) -> float:

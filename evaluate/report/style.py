@@ -72,9 +72,8 @@ path:not([fill]) { fill: none; }
 .mark, .ring { transform: translate(-50%, -50%); }
 .mark { text-shadow: 0 0 3px var(--card), 0 0 3px var(--card), 0 0 3px var(--card); }
 .ring { color: var(--soft); background: var(--card); padding: 0 .15rem; }
-.scale { left: 0; bottom: 0; height: .55rem; border: solid var(--ink);
-  border-width: 0 2px 2px; }
-.scale b { position: absolute; left: 0; bottom: .5rem; font-weight: 400; }
+.scale { display: flex; gap: .5rem; align-items: end; line-height: 1; }
+.scale div { height: .55rem; border: solid var(--ink); border-width: 0 2px 2px; }
 .square .north { right: 0; top: 0; text-align: center; line-height: 1.1; font-weight: 600; }
 .legend { display: flex; flex-wrap: wrap; gap: .2rem 1rem; margin: .7rem 0 0; padding: 0;
   list-style: none; }

@@ -86,11 +86,11 @@ def track(
         element(
             "div",
             drawing(*drawn),
-            _scale_bar(width_m),
             element("span", "▲", element("br"), "N", class_="north"),
             class_="square map",
             style=f"aspect-ratio:{ratio:.4f}",
         ),
+        _scale_bar(width_m),
         legend(keys),
         note=f"Around {_degrees(lat_rad, 'NS')}, {_degrees(lon_rad, 'EW')}."
         + ("" if truth is not None or not lost else " Outages are drawn straight across."),
@@ -125,8 +125,8 @@ def _lost(receivers: Sequence[Mapped], truth: Way | None, dark: Sequence[Span]) 
     parts = []
     for start, end in dark:
         if truth is not None:
-            inside = (truth.s >= start) & (truth.s <= end)
-            part = truth.r_e_m[inside]
+            first = max(int(np.searchsorted(truth.s, start)) - 1, 0)  # the last place before it
+            part = truth.r_e_m[first : int(np.searchsorted(truth.s, end, "right"))]
         else:
             way = receivers[0].way
             have = np.isfinite(way.r_e_m[:, 0])
@@ -142,9 +142,8 @@ def _scale_bar(width_m: float) -> Html:
     decade = 10.0 ** math.floor(math.log10(length_m))
     length_m = max(step * decade for step in _ROUND if step * decade <= length_m)
     text = f"{length_m:g} m" if length_m < 1000.0 else f"{length_m / 1000.0:g} km"
-    return element(
-        "span", element("b", text), class_="scale", style=f"width:{100.0 * length_m / width_m:.2f}%"
-    )
+    width = f"width:{100.0 * length_m / width_m:.2f}%"
+    return element("div", element("div", style=width), element("span", text), class_="scale")
 
 
 def _degrees(angle_rad: float, letters: str) -> str:

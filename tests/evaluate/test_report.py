@@ -24,6 +24,7 @@ from deepgnss.evaluate.report.stretches import (
     named,
     outages,
     stretches,
+    with_missing_epochs,
     write_stretches,
 )
 
@@ -142,7 +143,11 @@ def test_outages_and_what_follows_them() -> None:
     assert one.good_s == 2.0  # two positions 9 m off come first
     dropped = run.solution[run.solution["valid"] == 1]  # rows that are missing altogether
     (again,) = outages(dropped, run.errors)
-    assert (again.lasted_s, again.reason) == (6.0, "no epoch")
+    assert (again.lasted_s, again.reason) == (6.0, "nothing observed")
+    whole = with_missing_epochs(dropped)
+    assert len(whole) == 60 and whole["valid"].sum() == 54
+    assert whole["s"].to_numpy() == pytest.approx(np.arange(60.0))
+    assert words(run_page(replace(run, solution=dropped))).count("90.0 %") == 1
     whole = made_up(gap=(70, 75))
     assert outages(whole.solution, whole.errors) == []
     assert "at every epoch from the first to the last" in words(run_page(whole))
