@@ -17,6 +17,7 @@ to all phases of an epoch looks like the clock and leaves every double differenc
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple
@@ -52,6 +53,7 @@ class Phases(NamedTuple):
     lost: BoolArray  # (n, m) LLI bit 0
     half: BoolArray  # (n, m) LLI bit 1: half cycles open
     height: FloatArray  # (n, m) sine of the elevation: whom to trust where votes are even
+    corrected: FloatArray  # (n,) variance by which the INS corrected the vector so far, rising
 
 
 class Limits(NamedTuple):
@@ -79,6 +81,10 @@ class Judgement:
 _VOTE: Final = 4.0  # σ within which two phases agree, as S's threshold …
 _VOTE_CYCLES: Final = (0.1, 0.4)  # … but at least and at most
 _ROUNDS: Final = 4  # of fit and vote
+_STEP_CYCLES: Final = 0.15  # of a phase, by which changes of the vector are tried …
+_REACH: Final = 3.5  # … out to these σ …
+_MOST_STEPS: Final = 12  # … but no further than these steps
+_PRIOR: Final = 0.05  # of a vote for a change by one σ
 _FLAGGED: Final = 0.5  # of a vote is lost by a phase that is flagged
 _HEIGHT: Final = 0.01  # of a vote is the sine of the elevation worth
 _SURE: Final = 8.0  # log likelihood ratio of the number of cycles chosen to the next
@@ -116,7 +122,7 @@ def _pass(phases: Phases, limits: Limits, scale: float) -> Judgement:
     was_half, doubted = np.zeros((2, shape[1]), np.bool_)
     spread = np.zeros((shape[1], 3, 3))  # as it was when a phase was last seen
     common = _Known(0.0, np.zeros(3), np.zeros((3, 3)))
-    before_s = np.nan
+    last = 0
     for k, now_s in enumerate(phases.time_s):
         here = np.isfinite(phases.value_m[k])
         known = np.flatnonzero(here & (now_s - seen_s <= limits.longest_s))
@@ -133,8 +139,10 @@ def _pass(phases: Phases, limits: Limits, scale: float) -> Judgement:
                 phases.half[k, known] | was_half[known],
                 phases.height[k, known],
             )
+            by_itself = scale * limits.growth * (now_s - phases.time_s[last])
+            corrected = float(phases.corrected[k] - phases.corrected[last])
             grown = limits._replace(
-                noise_m=scale * limits.noise_m, growth=scale * limits.growth * (now_s - before_s)
+                noise_m=scale * limits.noise_m, growth=math.hypot(by_itself, math.sqrt(corrected))
             )
             common, verdict = _epoch(one, grown, common)
             state[k, known], value[k, known], sigma[k, known], *rest = verdict
@@ -145,7 +153,7 @@ def _pass(phases: Phases, limits: Limits, scale: float) -> Judgement:
         level_m[here] = phases.value_m[k, here] - common.clock_m
         level_m[here] -= phases.arm[k, here] @ common.vector
         seen_s[here], was_half[here], spread[here] = now_s, phases.half[k, here], common.spread
-        before_s = now_s if here.any() else before_s
+        last = k if here.any() else last
     return Judgement(state, value, sigma, cycles, check, gap, max(scale, 1.0))
 
 
@@ -191,13 +199,33 @@ def _epoch(one: _Changes, limits: Limits, before: _Known) -> tuple[_Known, _Verd
 
 
 def _most(one: _Changes, moved_m: FloatArray, own_m2: FloatArray, growth: float) -> BoolArray:
-    """The phases whose changes agree with each other, of those the most."""
-    apart = np.linalg.norm(one.arm[:, np.newaxis] - one.arm, axis=2)
-    sigma_m = np.sqrt(own_m2[:, np.newaxis] + own_m2 + (apart * growth) ** 2)
+    """The phases whose changes agree with each other, of those the most, whatever the vector.
+
+    Where the vector may have changed by more than phases tolerate, changes of it are tried on a
+    grid over the directions that matter; each σ off costs a little of a vote.
+    """
+    arm = one.arm - one.arm.mean(axis=0)
+    sigma_m = np.sqrt(own_m2[:, np.newaxis] + own_m2)
+    far_m = np.linalg.norm(arm, axis=1).max() * growth
+    step_m = _STEP_CYCLES * float(one.wavelength_m.min())
+    if far_m <= step_m:
+        apart = np.linalg.norm(one.arm[:, np.newaxis] - one.arm, axis=2)
+        sigma_m, steps = np.hypot(sigma_m, apart * growth), np.zeros((1, 3))
+    else:
+        axes = np.linalg.svd(arm, full_matrices=False)[2][:2]
+        reach = min(int(np.ceil(_REACH * far_m / step_m)), _MOST_STEPS)
+        line = np.arange(-reach, reach + 1) * (growth * step_m / far_m)
+        steps = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2) @ axes
     limit_m = one.within_m(sigma_m)
-    agree = np.abs(moved_m[:, np.newaxis] - moved_m) <= np.minimum(limit_m, limit_m.T)
-    votes = 1.0 + _HEIGHT * one.height - _FLAGGED * one.lost
-    return np.asarray(agree[:, int(np.argmax(votes @ agree))])
+    left_m = moved_m - steps @ one.arm.T
+    agree = np.abs(left_m[:, :, np.newaxis] - left_m[:, np.newaxis]) <= np.minimum(
+        limit_m, limit_m.T
+    )
+    votes = (1.0 + _HEIGHT * one.height - _FLAGGED * one.lost) @ agree
+    if growth > 0.0:
+        votes -= _PRIOR * np.sum(steps**2, axis=1, keepdims=True) / growth**2
+    number, phase = np.unravel_index(int(np.argmax(votes)), votes.shape)
+    return np.asarray(agree[number, :, phase])
 
 
 def _fit(

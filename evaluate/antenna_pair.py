@@ -8,7 +8,7 @@ grows with range; differences are second − first.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -74,28 +74,12 @@ class AntennaPair:
     first: Side
     second: Side
     baseline_e_m: FloatArray  # (n, 3) second − first by the INS
+    corrected_rad2: FloatArray  # (n,) what the attitude's 1σ² fell by so far where it fell
 
     @property
     def wavelength_m(self) -> FloatArray:
         """(m,)."""
         return np.array([signal.wavelength_m for signal in self.signals])
-
-    def between_s(self, begin_s: float, end_s: float = np.inf) -> AntennaPair:
-        """The part between two instants after the first epoch, the end excluded."""
-        part = (self.time_s >= begin_s) & (self.time_s < end_s)
-
-        def cut(side: Side) -> Side:
-            return Side(**{f.name: getattr(side, f.name)[part] for f in fields(Side)})
-
-        return AntennaPair(
-            self.week[part],
-            self.tow_s[part],
-            self.time_s[part],
-            self.signals,
-            cut(self.first),
-            cut(self.second),
-            self.baseline_e_m[part],
-        )
 
     def between(self) -> Phases:
         """Differences second − first, which an error of the attitude disturbs.
@@ -109,19 +93,29 @@ class AntennaPair:
             np.nan_to_num(arm),
             a.lost | b.lost,
             a.half | b.half,
+            self.corrected_rad2,
         )
 
     def alone(self, side: Side) -> Phases:
         """Phases of one antenna, which an error of its way disturbs."""
-        return self._phases(side.phase_m, np.nan_to_num(side.unit_e), side.lost, side.half)
+        still = np.zeros_like(self.time_s)
+        return self._phases(side.phase_m, np.nan_to_num(side.unit_e), side.lost, side.half, still)
 
     def _phases(
-        self, value_m: FloatArray, arm: FloatArray, lost: BoolArray, half: BoolArray
+        self,
+        value_m: FloatArray,
+        arm: FloatArray,
+        lost: BoolArray,
+        half: BoolArray,
+        corrected: FloatArray,
     ) -> Phases:
         names = sorted({signal.satellite for signal in self.signals})
         number = np.array([names.index(signal.satellite) for signal in self.signals])
         height = np.nan_to_num(self.first.height)
-        return Phases(self.time_s, number, self.wavelength_m, value_m, arm, lost, half, height)
+        wavelength_m = self.wavelength_m
+        return Phases(
+            self.time_s, number, wavelength_m, value_m, arm, lost, half, height, corrected
+        )
 
 
 def antenna_pair(
@@ -150,8 +144,16 @@ def antenna_pair(
     tag_s = tags[0][pairs[:, 0]]
     week = weeks[0] + (tag_s // SECONDS_PER_WEEK).astype(np.int64)
     tow_s = tag_s % SECONDS_PER_WEEK
-    baseline_e_m = _baseline(places, week, tow_s)
-    return AntennaPair(week, tow_s, tag_s - tag_s[0], signals, one, two, baseline_e_m)
+    return AntennaPair(
+        week,
+        tow_s,
+        tag_s - tag_s[0],
+        signals,
+        one,
+        two,
+        _baseline(places, week, tow_s),
+        _corrected_rad2(places[0], week, tow_s),
+    )
 
 
 def _numbers(tags_s: FloatArray, matched: IntArray) -> tuple[FloatArray, IntArray]:
@@ -166,6 +168,19 @@ def _baseline(places: Places, week: NDArray[np.int64], tow_s: FloatArray) -> Flo
         place.at(week, tow_s)[0] if isinstance(place, Trajectory) else place for place in places
     )
     return np.asarray(np.broadcast_to(two - one, (len(tow_s), 3)))
+
+
+def _corrected_rad2(place: Place, week: NDArray[np.int64], tow_s: FloatArray) -> FloatArray:
+    """By how much corrections have moved the attitude: where its 1σ falls, the error jumps.
+
+    An optimal correction takes σ² from before to after, and is itself of the difference.
+    """
+    if not isinstance(place, Trajectory) or place.attitude_sigma_rad is None:
+        return np.zeros(len(tow_s))
+    falls = np.maximum(-np.diff(place.attitude_sigma_rad**2, axis=0), 0.0).max(axis=1)
+    known_s = place.seconds(place.week, place.tow_s)
+    total = np.concatenate([[0.0], np.cumsum(falls)])
+    return np.asarray(np.interp(place.seconds(week, tow_s), known_s, total))
 
 
 def _signals(first: ObsFile, second: ObsFile) -> tuple[Signal, ...]:

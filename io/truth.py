@@ -38,7 +38,8 @@ class Trajectory:
 
     week (n,), tow_s (n,): GPST. r_e_m (n, 3): ECEF. v_e_mps (n, 3): velocity of the same point
     in ECEF axes, None when the file has none (or only another point's). attitude_rad (n, 3):
-    roll, pitch, yaw of the body (FRD against NED), None when unknown.
+    roll, pitch, yaw of the body (FRD against NED), None when unknown. attitude_sigma_rad (n, 3):
+    1σ of its error about north, east, down, None when the file does not tell.
     """
 
     week: NDArray[np.int64]
@@ -46,6 +47,7 @@ class Trajectory:
     r_e_m: FloatArray
     v_e_mps: FloatArray | None = None
     attitude_rad: FloatArray | None = None
+    attitude_sigma_rad: FloatArray | None = None
 
     @property
     def start(self) -> GpsTime:
@@ -153,12 +155,14 @@ def _trajectory(
     v_e_mps = None
     if velocity is not None and "imu_lat_deg" not in frame:
         v_e_mps = np.einsum("kji,kj->ki", C_ne(lat, lon), velocity)
+    sigma_deg = _columns(frame, *_SIGMAS)
     found = Trajectory(
         week=frame["week"].to_numpy().astype(np.int64),
         tow_s=frame["tow_s"].to_numpy(),
         r_e_m=np.column_stack(position),
         v_e_mps=v_e_mps,
         attitude_rad=attitude_rad,
+        attitude_sigma_rad=None if sigma_deg is None else np.radians(sigma_deg),
     )
     return found.of_point(lever_arm_m) if is_imu and lever_arm_m is not None else found
 
@@ -181,6 +185,7 @@ _CSV_NAMES = {
     "v_d_mps": "vd_mps",
     "yaw_deg": "heading_deg",
 }
+_SIGMAS = ("sigma_phi_n_deg", "sigma_phi_e_deg", "sigma_phi_d_deg")
 _CSV_NEEDED = ("week", "tow_s", "lat_deg", "lon_deg", "height_m")
 
 
@@ -201,6 +206,7 @@ def _read_csv(path: Path) -> pd.DataFrame:
 _OPTIONAL = (
     *("vn_mps", "ve_mps", "vd_mps", "roll_deg", "pitch_deg", "heading_deg"),
     *("imu_lat_deg", "imu_lon_deg", "imu_height_m"),
+    *_SIGMAS,
 )
 
 

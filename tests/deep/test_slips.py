@@ -40,6 +40,7 @@ def phases(
         none,
         none.copy(),
         height,
+        np.zeros(epochs),
     )
 
 
@@ -91,6 +92,21 @@ def test_check_value_tells_a_number_that_fits_one_frequency_only() -> None:
     assert found.state[7, 4] == State.UNDECIDED and found.state[7, 5] == State.UNDECIDED
     assert abs(found.check_m[7, 4]) == pytest.approx(0.3 * L1, abs=0.01)
     assert found.check_m[7, 4] == -found.check_m[7, 5]
+
+
+def test_a_correction_of_the_ins_is_no_slip_of_all() -> None:
+    """A turn by 5° between two epochs, which the INS says it made."""
+    given = phases()
+    value_m = given.value_m.copy()
+    value_m[9:] += given.arm[9:] @ np.array([0.06, -0.05, 0.04])
+    told_so = np.where(np.arange(40) >= 9, 0.05**2, 0.0)
+    slips = np.zeros_like(value_m)
+    slips[9, [2, 5, 6, 9, 12, 13]] = (2.0, -1.0, 1.0, 1.0, -3.0, 3.0)
+    silent = judge(slipped(given._replace(value_m=value_m), slips), LIMITS)
+    found = judge(slipped(given._replace(value_m=value_m, corrected=told_so), slips), LIMITS)
+    assert (silent.state == State.UNDECIDED).any()
+    np.testing.assert_array_equal(found.cycles, slips)
+    assert told(found) == {State.NEW, State.CONTINUOUS, State.SLIPPED}
 
 
 def test_slip_of_all_phases_by_the_clock_is_none() -> None:

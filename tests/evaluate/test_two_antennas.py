@@ -28,7 +28,7 @@ from deepgnss.sim.scenario import Scenario
 from deepgnss.sim.schema import build, load_scenario
 
 BASELINE = (-2.535, 0.4, -0.3)
-SECONDS = 60
+SECONDS = 40
 _ANTENNAS = (("a", 0.9, 0.1, -1.2), ("b", -1.635, 0.5, -1.5))
 
 
@@ -129,10 +129,10 @@ def test_a_swapped_pair_tells_the_opposite(pair: AntennaPair, folder: Path) -> N
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_random_slips_all_found_none_false(pair: AntennaPair, seed: int) -> None:
-    slips = random_slips(pair, 90, np.random.default_rng(seed), hard=True)
+    slips = random_slips(pair, 60, np.random.default_rng(seed), hard=True)
     found = find_slips(with_slips(pair, slips), Expected())
     ours = method_scores(found, slips)[OURS]
-    assert (ours.inserted, ours.found, ours.false) == (90, 90, 0)
+    assert (ours.inserted, ours.found, ours.false) == (60, 60, 0)
     assert np.nanmax(np.abs(found.between.check_m)) < 0.025
 
 
@@ -275,7 +275,9 @@ def test_static_baseline_of_survey_receivers(shared_data: Path) -> None:
     assert ours.inserted == 95 and ours.found >= 94 and ours.false <= 3
 
 
-@pytest.mark.parametrize("chain", ["0m", "2m", "4m", "5m8"])
+@pytest.mark.parametrize(
+    "chain", ["5m8", *(pytest.param(name, marks=pytest.mark.slow) for name in ("0m", "2m", "4m"))]
+)
 def test_two_chains_at_one_antenna(shared_data: Path, chain: str) -> None:
     """What does not go on as before is what the chains' raw phases differ by, orbits or not."""
     folder = shared_data / "real/gnss/jmfriedt-dualchain"
@@ -290,7 +292,7 @@ def test_two_chains_at_one_antenna(shared_data: Path, chain: str) -> None:
     jumps = np.abs(raw) > 0.25
     odd = (state == State.SLIPPED) | (state == State.UNDECIDED)
     print(chain, int(jumps[known].sum()), int(odd[1:][known].sum()), int(known.sum()))
-    assert known.sum() > 300
+    assert known.sum() > 150
     np.testing.assert_array_equal(odd[1:][known], jumps[known])
 
 
