@@ -10,6 +10,7 @@ from deepgnss.evaluate.reproduce import (
     bit_sync,
     blockage,
     carrier_phase,
+    chirps,
     city,
     code_noise,
     false_lock,
@@ -193,6 +194,7 @@ ROWS: Final = (
         "frequency and rate, 400 ms, against the Cramér–Rao bound",
         "on the bound",
         "≤ 1.1 × above threshold",
+        chirps.measure,
     ),
     Row(
         "LU-DYN",
