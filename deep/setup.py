@@ -23,6 +23,7 @@ from deepgnss.receiver.modes import (
     CarrierSettings,
     FrequencySettings,
     KalmanSettings,
+    LongUpdateSettings,
     TrackingSettings,
 )
 from deepgnss.receiver.pvt import PvtParameters
@@ -133,6 +134,7 @@ def receiver_settings(config: Config) -> ReceiverSettings:
     """Settings of the receiver from the config's tracking, acquisition, positioning, output."""
     tracking, positioning, acquisition = config.tracking, config.positioning, config.acquisition
     frequency, kalman = tracking.frequency, tracking.carrier.kalman
+    long_update = tracking.carrier.long_update
     return ReceiverSettings(
         tracking=TrackingSettings(
             carrier=CarrierSettings(
@@ -147,6 +149,7 @@ def receiver_settings(config: Config) -> ReceiverSettings:
                     fading=kalman.fading,
                     square_root=kalman.square_root,
                 ),
+                long_update=LongUpdateSettings(long_update.update, long_update.dynamics),
             ),
             code_order=tracking.code.order,
             code_bandwidths_hz=tuple(tracking.code.bandwidth),

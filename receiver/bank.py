@@ -22,6 +22,7 @@ from deepgnss.core.time import GpsTime
 from deepgnss.receiver import framing, messages
 from deepgnss.receiver.accounts import Accounts
 from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings
+from deepgnss.receiver.carrier_tracking import CarrierTracking
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock
 from deepgnss.receiver.feed import SumFeed
@@ -76,6 +77,7 @@ class Bank:
         """`known`: symbols of satellites that an earlier pass has decoded."""
         self.signal = signal
         self.rate_hz = Fraction(sample_rate_hz)
+        self.longest_s = CarrierTracking(signal, tracking).longest * signal.period_s
         self.channels: dict[int, Channel] = {}
         self.heads: dict[int, Head] = {}
         self._tracking = tracking

@@ -9,6 +9,7 @@ runs at +Doppler here; the observables turn its sign (see `observables`).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -56,10 +57,13 @@ from deepgnss.receiver.symbol_stream import SymbolStream
 from deepgnss.receiver.trackers import (
     NO_CORRECTION,
     Accumulated,
+    Correction,
     NcoState,
     accumulate,
     advance,
     corrected,
+    pieces,
+    straightened,
 )
 from deepgnss.receiver.windows import Windows
 
@@ -116,7 +120,7 @@ class Channel:
         self._history = int(_HISTORY_UPDATES * longest * signal.period_s * sample_rate_hz)
         self._coded = bool(signal.secondary_code)
         self._stream = SymbolStream(signal, longest)
-        self._hearing = Hearing(signal)
+        self._hearing = Hearing(signal, self._carriers.remembered_s)
         self.windows = Windows(signal, settings)
         self._leading = Leading(sample_rate_hz)
         self._open = OpenLoop(signal, sample_rate_hz, settings.open_loop_phase_sigma_cycles)
@@ -148,7 +152,9 @@ class Channel:
         self.history: list[Interval] = [self._interval()]
         self._taken: ComplexArray  # correlations of the interval under way: …
         self.filled: int  # … as many of its code periods are in, …
-        self._planned: int  # … of so many
+        self._planned: int  # … of so many until the next command, …
+        self._begun: int  # … and as many came before the present one
+        self._commands: int  # … of so many
         self._plan()
 
     # --- the step ----------------------------------------------------------------------------
@@ -167,7 +173,7 @@ class Channel:
             if count > 0:
                 self.take(
                     self._correlator(
-                        sums, self.command, self._runs, self.taps_chips, count, self.filled
+                        sums, self.command, self._runs, self.taps_chips, count, self.skip
                     )
                 )
             if not self.complete:
@@ -175,11 +181,16 @@ class Channel:
             self.conclude(aiding)
 
     def due(self, end: int) -> int:
-        """Code periods of the interval under way that are there before a sample but not taken."""
+        """Code periods under the present command that are there before a sample but not taken."""
         command = self.command
         there_s = (end - self._margin - command.sample) / self._rate
         chips = command.code_chips + there_s * (command.code_hz + 0.5 * there_s * command.code_hzps)
-        return min(int(chips // self._length), self._planned) - self.filled
+        return min(int(chips // self._length) + self._begun, self._planned) - self.filled
+
+    @property
+    def skip(self) -> int:
+        """Code periods taken under the present command."""
+        return self.filled - self._begun
 
     def take(self, correlations: ComplexArray) -> None:
         """Take the next code periods of the interval under way, (periods, taps)."""
@@ -189,19 +200,25 @@ class Channel:
 
     @property
     def complete(self) -> bool:
-        """Whether the interval under way is over."""
+        """Whether the present command is over."""
         return self.filled == self._planned
 
     def conclude(self, aiding: AidingSource) -> None:
-        """Command, detect and decide by a complete interval; the next one begins."""
-        middle_s, end_s = self._times(self._taken.shape[0])
-        seen = self._accumulate()
+        """Command, and at an interval's end detect and decide; the next one begins."""
         begun = self.command, self._carrier, self._aiding, self.periods
+        middle_s, end_s = self._times()
+        if self.filled < self._taken.shape[0]:
+            self._move_on(NO_CORRECTION, NO_CORRECTION, middle_s, end_s, aiding)
+            self._remember(*begun)
+            self.history.append(self._interval())
+            self._go_on()
+            return
+        seen = self._accumulate()
         self._steer(seen, middle_s, end_s, aiding)
-        self._detect(seen)
+        fell = self._detect(seen)
         self._collect_symbols(seen)
-        if self.phase_valid and dark(self.locks, self.signal.period_s):
-            self.history[-1] = self.history[-1]._replace(phase_valid=False)
+        if self.phase_valid and fell:
+            self._revise(lambda interval: interval._replace(phase_valid=False))
         self._remember(*begun)
         self._decide(seen)
         self.history.append(self._interval())
@@ -209,42 +226,59 @@ class Channel:
 
     def _plan(self) -> None:
         """Length of the next interval in code periods, and whether its signs are known."""
-        periods = self.signal.update_periods
+        periods = self._full
         if self.edge is not None:
             to_edge = (self.edge - self.periods) % self.signal.symbol_periods
             periods = to_edge % self._full or self._full
         self._coherent = self.edge is not None
-        self._planned = periods
         self._taken = np.empty((periods, self.taps_chips.size), dtype=np.complex128)
-        self.filled = 0
+        self.filled = self._planned = self._commands = 0
+        self._go_on()
 
-    def _times(self, periods: int) -> tuple[float, float]:
-        """Middle and end of the next interval, s after the command's sample."""
-        command = self.command
+    def _go_on(self) -> None:
+        """To the next command of an interval: aided, there is one for every update."""
+        self._begun, periods = self._planned, self._taken.shape[0]
+        most = self.signal.update_periods if self.aided else periods
+        self._planned = min(periods, self._begun + most)
+        self._commands += 1
+
+    def _times(self) -> tuple[float, float]:
+        """The interval's middle and the command's end, s after the command's sample."""
+        command, whole = self.command, self._taken.shape[0]
 
         def reach(chips: float) -> float:
             t = (chips - command.code_chips) / command.code_hz
             return (chips - command.code_chips) / (command.code_hz + 0.5 * command.code_hzps * t)
 
-        return reach(0.5 * periods * self._length), reach(periods * self._length)
+        return (
+            reach((0.5 * whole - self._begun) * self._length),
+            reach((self._planned - self._begun) * self._length),
+        )
+
+    def _revise(self, change: Callable[[Interval], Interval]) -> None:
+        """Change what is remembered of the interval just over, command by command."""
+        first = len(self.history) - self._commands
+        self.history[first:] = [change(interval) for interval in self.history[first:]]
 
     def _accumulate(self) -> Accumulated:
         period_s = self.signal.period_s
         if self.settings.record_correlations:
-            self.recorded.append(Correlations(self.command.sample, period_s, self._taken))
+            first = self.history[-self._commands].command
+            self.recorded.append(Correlations(first.sample, period_s, self._taken))
         taps, coherent = self._taken, self._coherent
         if coherent and self.edge is not None:
-            taps = self._stream.stripped(taps, self.periods, self.edge)
+            first_period = self.periods - self._begun
+            taps = self._stream.stripped(taps, first_period, self.edge, self._signs)
         cn0_hz = 10.0 ** (0.1 * self.cn0_dbhz)
         return accumulate(taps, period_s, coherent, self._coded and not coherent, cn0_hz)
+
+    def _signs(self, sums: ComplexArray) -> FloatArray:
+        return self._carriers.signs(self.mode, sums)
 
     def _steer(
         self, seen: Accumulated, middle_s: float, end_s: float, aiding: AidingSource
     ) -> None:
         """Discriminate, filter, and give the next command."""
-        command = self.command
-        whole = int(end_s * self._rate)
-        elapsed_s = whole / self._rate
         carrier = code = NO_CORRECTION
         if self.mode is Mode.WEAK:
             window = self._complete_window(seen)
@@ -257,10 +291,40 @@ class Channel:
         elif self.mode is not Mode.HOLD and 4 * seen.periods.shape[0] >= self._full:
             edge_known = self.edge is not None
             carrier = self._carriers.correct(self.mode, seen, edge_known=edge_known)
-            code = self._code_loop.tracker.correct(seen)
-        self.history[-1] = self.history[-1]._replace(correction=carrier, middle_s=middle_s)
+            code = self._code_loop.over(seen.seconds).correct(seen)
+        here = self.command.sample
+
+        def put_right(interval: Interval) -> Interval:
+            later_s = (here - interval.command.sample) / self._rate
+            return interval._replace(correction=carrier, middle_s=middle_s + later_s)
+
+        self._revise(put_right)
+        count = seen.periods.shape[0]
+        share = (
+            0.3
+            if count <= self.signal.update_periods
+            else 1.0 - 0.7 ** (count / self.signal.update_periods)
+        )
+        self.frequency_error_hz += share * (carrier.frequency - self.frequency_error_hz)
+        foreseen = self._carriers.foreseen(self.mode, seen.seconds)
+        self._move_on(carrier, code, middle_s, end_s, aiding, foreseen)
+
+    def _move_on(
+        self,
+        carrier: Correction,
+        code: Correction,
+        middle_s: float,
+        end_s: float,
+        aiding: AidingSource,
+        foreseen: Correction = NO_CORRECTION,
+    ) -> None:
+        """Give the next command: corrections count in the middle, what is foreseen at the end."""
+        command = self.command
+        whole = int(end_s * self._rate)
+        elapsed_s = whole / self._rate
         before = advance(self._carrier, elapsed_s)
         after = corrected(before, carrier, elapsed_s - middle_s)
+        after = corrected(after, foreseen, elapsed_s - end_s)
         shift_chips = code.phase + code.frequency * (elapsed_s - middle_s)
         self._learn(
             after.phase - self._carrier.phase,
@@ -271,18 +335,17 @@ class Channel:
         self._carrier = self._leading.lead(
             after, aiding, command.sample, whole, self.mode, own_rate=own_rate
         )
-        self.frequency_error_hz += 0.3 * (carrier.frequency - self.frequency_error_hz)
         if self._code_loop.narrow(command.sample):  # a wide loop's noisy rate must not live on
             self._code_offset_hz = 0.0
             shift_chips, code = code.phase, code._replace(frequency=0.0)
         self._code_offset_hz += code.frequency
         chips = (
             advance(NcoState(command.code_chips, command.code_hz, command.code_hzps), elapsed_s)[0]
-            - seen.periods.shape[0] * self._length
+            - self.skip * self._length
             + shift_chips
             + (after.phase - before.phase) / self.signal.carrier_to_code
         )
-        self.periods += seen.periods.shape[0]
+        self.periods += self.skip
         self.command = self._command(command.sample + whole, chips)
 
     def _command(self, sample: int, code_chips: float) -> NcoCommand:
@@ -432,22 +495,44 @@ class Channel:
 
     # --- detect, collect, decide -------------------------------------------------------------
 
-    def _detect(self, seen: Accumulated) -> None:
+    def _detect(self, seen: Accumulated) -> bool:
+        """Take an interval into the lock detectors; whether it has next to nothing somewhere."""
+        fell = False
         symbol = self._stream.whole(seen, self.periods, self.edge)
         if symbol is not None:
-            size = self.signal.symbol_periods
-            if self.mode in (Mode.WEAK, Mode.HOLD):  # signs of short symbols are not to be had
-                slow_s = FAINT_S if self.mode is Mode.WEAK else USUAL_S
-                self.locks = update_powers(self.locks, symbol, slow_s, size)
-            else:
-                self.locks = update_locks(self.locks, symbol, size)
+            for piece in self._updates(symbol):
+                self._take_power(piece)
+                fell |= dark(self.locks, self.signal.period_s)
         if self.mode is Mode.HOLD and self.edge is not None:
             self._open.collect(self._taken[:, 1], self.periods)
-        if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
-            return
+        if self.mode in (Mode.FREQUENCY, Mode.WEAK):
+            self._hear()
+        return fell or (symbol is None and dark(self.locks, self.signal.period_s))
+
+    def _updates(self, seen: Accumulated) -> Iterable[Accumulated]:
+        """A long interval cut into usual ones, as the loop now knows the carrier in it."""
+        periods = self.signal.update_periods
+        if seen.periods.shape[0] <= periods:
+            return (seen,)
+        return pieces(straightened(seen, self.history[-1].correction), periods)
+
+    def _take_power(self, seen: Accumulated) -> None:
+        size = self.signal.symbol_periods
+        if self.mode in (Mode.WEAK, Mode.HOLD):  # signs of short symbols are not to be had
+            slow_s = FAINT_S if self.mode is Mode.WEAK else USUAL_S
+            self.locks = update_powers(self.locks, seen, slow_s, size)
+        else:
+            self.locks = update_locks(self.locks, seen, size)
+
+    def _hear(self) -> None:
+        """Without phase lock: find the symbols' edges."""
         prompts = self._taken[:, 1]
-        first = self.periods - prompts.size
-        self._hearing.add(self.history[-1].command, prompts, first)
+        intervals = self.history[-self._commands :]
+        ends = [interval.periods for interval in intervals[1:]]
+        first = intervals[0].periods
+        for interval, end in zip(intervals, [*ends, self.periods], strict=True):
+            heard = prompts[interval.periods - first : end - first]
+            self._hearing.add(interval.command, heard, interval.periods)
         if self.edge is None:
             edge = self._hearing.edge(prompts, self.locks.signal, self.locks.noise)
             if edge is not None and edge.alternating:
@@ -464,7 +549,9 @@ class Channel:
 
     def _look_back(self, edge: int) -> None:
         """Hand the phase of what was heard without phase lock to the phase loop."""
-        seen = self._hearing.look_back(edge, self._carrier, self._aiding.rate_hzps)
+        own = self._carriers.finds_rate(self.mode)
+        rate_hzps = self._carrier.rate if own else self._aiding.rate_hzps
+        seen = self._hearing.look_back(edge, self._carrier, rate_hzps)
         self._stream.look_back(seen)
         self._carrier = seen.carrier
 
@@ -531,7 +618,7 @@ class Channel:
                 self._look_back(self.edge)
             self.locks = restart_phase(self.locks)
             self._carriers.restart()
-        else:  # only a phase loop keeps a frequency rate of its own
+        elif not self._carriers.finds_rate(mode):  # a plain frequency loop keeps no rate of its own
             self._carrier = self._carrier._replace(rate=self._aiding.rate_hzps)
         self.command = self._command(self.command.sample, self.command.code_chips)
         if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
@@ -584,6 +671,11 @@ class Channel:
     def seconds_in_mode(self) -> float:
         """Since the last change of mode, or what counts as one."""
         return self._seconds_since(self._since)
+
+    @property
+    def lock_s(self) -> float:
+        """Time after which its phase lock is believed."""
+        return self._carriers.lock_s
 
     @property
     def aided(self) -> bool:

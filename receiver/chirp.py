@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -28,6 +29,7 @@ import numpy as np
 
 from deepgnss.core.records import ComplexArray, FloatArray
 from deepgnss.receiver.spectral import half_bins, turned
+from deepgnss.receiver.trackers import Accumulated, Correction, Tracker
 
 _TURN = 2.0 * math.pi
 _LOBE = 9.6  # width of the ridge's main lobe times T², L(13)
@@ -148,3 +150,25 @@ def _wiped(count: int, interval_s: float, step_hzps: float, each_side: int) -> C
     t = interval_s * (np.arange(count) - 0.5 * (count - 1))
     rates = step_hzps * np.arange(-each_side, each_side + 1)[:, np.newaxis]
     return np.asarray(np.exp(-1j * math.pi * rates * t * t))
+
+
+@dataclass(frozen=True, slots=True)
+class ChirpLock:
+    """Frequency lock that finds the rate as well, from nothing: before phase lock, L 1.2.
+
+    Code periods' signs are not known, so their squares are searched. What they do not show, below
+    some 33 dB-Hz over 200 ms, is left to a loop for faint signals.
+    """
+
+    faint: Tracker
+    interval_s: float = 0.2
+    largest_rate_hzps: float = 1000.0
+
+    def correct(self, seen: Accumulated) -> Correction:
+        """Frequency and rate of an interval; a shorter one tells no rate."""
+        if seen.seconds > 0.5 * self.interval_s:
+            prompts = seen.periods[:, 1]
+            found = find_squared_chirp(prompts, seen.period_s, self.largest_rate_hzps)
+            if found.surplus > 0.0:
+                return Correction(0.0, found.frequency_hz, found.rate_hzps)
+        return self.faint.correct(seen)

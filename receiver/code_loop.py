@@ -57,11 +57,17 @@ class CodeLoop:
         self.tracker = self._delay_lock(due)
         return True
 
+    def over(self, seconds: float) -> DelayLock:
+        """The loop on intervals of that length: one too wide for them does not settle."""
+        widest_hz = _LOOP_PRODUCT / seconds
+        return (
+            self.tracker if self.tracker.bandwidth_hz <= widest_hz else self._delay_lock(widest_hz)
+        )
+
     @property
     def on_windows(self) -> DelayLock:
-        """The loop on windows: one too wide for them does not settle."""
-        widest_hz = _LOOP_PRODUCT / self._window_s
-        return self._delay_lock(min(self.tracker.bandwidth_hz, widest_hz))
+        """The loop on windows of frequency tracking."""
+        return self.over(self._window_s)
 
     def _delay_lock(self, bandwidth_hz: float) -> DelayLock:
         settings = self._settings

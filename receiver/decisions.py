@@ -89,6 +89,10 @@ class Tracked(Protocol):
         """Whether it runs on by aiding alone."""
 
     @property
+    def lock_s(self) -> float:
+        """Time after which its phase lock is believed."""
+
+    @property
     def wide_cn0_dbhz(self) -> float:
         """C/N0 in open loop, whatever the frequency is off."""
 
@@ -162,7 +166,7 @@ def _phase(channel: Tracked, here_s: float, cn0: float, fast: float, gone: bool)
         return Go(Mode.WEAK, f"C/N0 {cn0:.1f} dB-Hz, too weak for the phase")
     if here_s > 0.5 and indicator < 0.4:
         return Go(Mode.FREQUENCY, f"phase lock lost: mean cos 2φ {indicator:.2f}")
-    if here_s > 0.2 and indicator > 0.8:
+    if here_s > channel.lock_s and indicator > 0.8:
         side = false_lock_side(channel.locks)
         if side:
             return Shift(side * 0.5 / channel.signal.symbol_s)

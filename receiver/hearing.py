@@ -32,8 +32,10 @@ class LookBack(NamedTuple):
 class Hearing:
     """Prompts of a frequency-locked stretch."""
 
-    def __init__(self, signal: Signal) -> None:
+    def __init__(self, signal: Signal, remembered_s: float | None = None) -> None:
+        """remembered_s: of prompts, as far back as the carrier's frequency and rate reach."""
         self._signal = signal
+        self._remembered = (remembered_s or _REMEMBERED_S) / signal.period_s
         self._prompts: list[tuple[NcoCommand, ComplexArray]] = []
         self._first = 0  # code period of the first one kept
         self._sync: BitSync = self._fresh()
@@ -55,7 +57,8 @@ class Hearing:
         if not self._prompts:
             self._first = first
         self._prompts.append((command, prompts))
-        if len(self._prompts) * self._signal.update_s > _REMEMBERED_S:
+        kept = first + prompts.size - self._first
+        if kept > self._remembered and len(self._prompts) > 1:
             self._first += self._prompts.pop(0)[1].size
 
     def edge(self, prompts: ComplexArray, signal: float, noise: float) -> Edge | None:

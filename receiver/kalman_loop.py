@@ -37,7 +37,7 @@ from deepgnss.core.loops import LoopGains, noise_bandwidth_hz
 from deepgnss.core.records import GPS_L1CA, FloatArray, Oscillator
 from deepgnss.receiver.discriminators import costas_arctan
 from deepgnss.receiver.modes import IDEAL_OSCILLATOR
-from deepgnss.receiver.phase_loops import Settled
+from deepgnss.receiver.phase_loops import PlainLoop, Settled
 from deepgnss.receiver.trackers import Accumulated, Correction
 
 _STATES: Final = 3
@@ -186,7 +186,7 @@ class Memory(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class KalmanLoop:
+class KalmanLoop(PlainLoop):
     """The loop's parameters."""
 
     interval_s: float = 0.020

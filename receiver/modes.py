@@ -59,6 +59,14 @@ IDEAL_OSCILLATOR = Oscillator("ideal", 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
+class LongUpdateSettings:
+    """Parameters of the long-update loop."""
+
+    update_s: float = 0.2  # whole symbols
+    dynamics_mps3: float = 0.75  # by which the jerk in the line of sight changes in 1 s, 1σ
+
+
+@dataclass(frozen=True, slots=True)
 class CarrierSettings:
     """How the phase is tracked, as the config's `tracking.carrier`."""
 
@@ -67,6 +75,7 @@ class CarrierSettings:
     coherent_s: float = 0.02  # of an interval
     oscillator: Oscillator = IDEAL_OSCILLATOR  # for loops that model it
     kalman: KalmanSettings = KalmanSettings()
+    long_update: LongUpdateSettings = LongUpdateSettings()
 
 
 @dataclass(frozen=True, slots=True)

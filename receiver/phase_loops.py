@@ -15,23 +15,27 @@ generator's state, and a loop sees what is left of them in its correlations. So
   with the generator.
 
 A step sees an interval of `interval_s`: a part of a symbol, or whole symbols. Its correction counts
-at the interval's middle. A loop that corrects only every so often has two ways: ask for a long
-interval, which runs on one command (aiding's curvature inside it is not followed, and the decisions
-of a channel come as seldom); or stay at a symbol, keep each `seen.periods` in its memory, answer
-NO_CORRECTION until it has enough, and move its estimate to the middle of the last interval with
-`advance`. `seen.periods` are correlations by code period, (n, taps), secondary code and, in an
-interval of several symbols, decided signs stripped.
+at the interval's middle, and for all of it: observables are taken after it. A loop that corrects
+only every so often has two ways: ask for a long interval (decisions of a channel come as seldom;
+aided, it runs on a command for every 20 ms of it); or stay at a symbol, keep each `seen.periods` in
+its memory, answer NO_CORRECTION until it has enough, and move its estimate to the middle of the
+last interval with `advance`. `seen.periods` are correlations by code period, (n, taps), secondary
+code and, in an interval of several symbols, signs stripped: those the loop has decided itself,
+`signs`, since it knows best where the phase is. What it knows to change in the next interval goes
+by `foreseen`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from deepgnss.core.loops import loop_gains
+from deepgnss.core.records import ComplexArray, FloatArray
 from deepgnss.receiver.discriminators import costas_arctan
-from deepgnss.receiver.trackers import Accumulated, Correction
+from deepgnss.receiver.sync import decided_signs
+from deepgnss.receiver.trackers import NO_CORRECTION, Accumulated, Correction
 
 M = TypeVar("M")
 
@@ -67,9 +71,29 @@ class PhaseLoop(Protocol[M]):
     def bandwidth_hz(self, memory: M) -> float:
         """One-sided noise bandwidth as it is now."""
 
+    def signs(self, memory: M, sums: ComplexArray, interval_s: float) -> FloatArray:
+        """Signs ±1 of the symbol sums (n,) of an interval, up to a common one."""
+
+    def foreseen(self, memory: M, seconds: float) -> Correction:
+        """Change of the generator at the end of an interval, beyond its own frequency and rate."""
+
+
+class PlainLoop:
+    """What loops have in common that see little in advance: to be inherited."""
+
+    __slots__ = ()
+
+    def signs(self, memory: Any, sums: ComplexArray, interval_s: float) -> FloatArray:
+        """Next to the phase the sums show themselves."""
+        return decided_signs(sums)
+
+    def foreseen(self, memory: Any, seconds: float) -> Correction:
+        """Nothing."""
+        return NO_CORRECTION
+
 
 @dataclass(frozen=True, slots=True)
-class CostasLoop:
+class CostasLoop(PlainLoop):
     """PLL of order 2 or 3 on the coherent sum; it remembers nothing."""
 
     order: int

@@ -104,7 +104,7 @@ def _take_due(channels: Sequence[Channel], sums: RunningSums) -> None:
     one = wanting[0][0]
     table = code_table(one.signal.id.name)
     commands = np.array([channel.command for channel, _ in wanting])
-    due = np.array([(table.rows[c.prn], c.filled, count) for c, count in wanting])
+    due = np.array([(table.rows[c.prn], c.skip, count) for c, count in wanting])
     most = max(count for _, count in wanting)
     out = np.empty((len(wanting), most, one.taps_chips.size), dtype=np.complex128)
     correlate_all(

@@ -425,11 +425,11 @@ class Receiver:
     def _tags(self, first: int, end: int) -> list[int]:
         """GPST tags, ns since the GPS epoch, each once, as far as every channel's estimate goes.
 
-        A channel's last whole interval ends up to a symbol before the epoch does.
+        A channel's last whole interval ends up to its own length before the epoch does.
         """
         if self.clock is None:
             return []
-        lag = int(1.25 * max(bank.signal.update_s for bank in self.banks) * self._rate)
+        lag = int(1.25 * max(bank.longest_s for bank in self.banks) * self._rate)
         first, end = first - lag, end - lag
         begin_ns, end_ns = (
             self.clock.origin_ns + round(self.clock.gpst_ns(sample)) for sample in (first, end)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from deepgnss.core.records import ComplexArray
+from deepgnss.core.records import ComplexArray, FloatArray
 from deepgnss.receiver.hearing import LookBack
 from deepgnss.receiver.signals import Signal
-from deepgnss.receiver.sync import decided_signs
 from deepgnss.receiver.trackers import Accumulated, accumulate
 
 
@@ -30,10 +31,16 @@ class SymbolStream:
         self._sum = 0j  # of a symbol under way …
         self._periods = 0  # … so far
 
-    def stripped(self, taps: ComplexArray, first: int, edge: int) -> ComplexArray:
+    def stripped(
+        self,
+        taps: ComplexArray,
+        first: int,
+        edge: int,
+        decide: Callable[[ComplexArray], FloatArray],
+    ) -> ComplexArray:
         """Correlations (n, taps) without the secondary code, and without symbols if there are more.
 
-        first: code period they begin at.
+        first: code period they begin at; decide: makes signs of symbol sums.
         """
         count, size = taps.shape[0], self._size
         if not self._coded and count <= size:
@@ -42,7 +49,7 @@ class SymbolStream:
         signs = self._secondary[skip : skip + count]
         if count > size:
             symbols = (taps[:, 1] * signs[:, 0]).reshape(-1, size).sum(axis=1)
-            signs = signs * np.repeat(decided_signs(symbols), size)[:, np.newaxis]
+            signs = signs * np.repeat(decide(symbols), size)[:, np.newaxis]
         return np.asarray(taps * signs)
 
     def whole(self, seen: Accumulated, end: int, edge: int | None) -> Accumulated | None:
@@ -58,10 +65,9 @@ class SymbolStream:
     def decide(self, taps: ComplexArray, seen: Accumulated, end: int, edge: int) -> None:
         """Take an interval of a phase lock; taps: its correlations as they came."""
         size = self._size
-        if seen.periods.shape[0] > size:
-            signs = self._secondary[: taps.shape[0], 0]
-            symbols = (taps[:, 1] * signs).reshape(-1, size).sum(axis=1)
-            self.decided.extend(int(negative) for negative in symbols.real < 0.0)
+        if seen.periods.shape[0] > size:  # as decided when they were stripped
+            alike = (taps[:, 1].conj() * seen.periods[:, 1]).real * self._secondary[: len(taps), 0]
+            self.decided.extend((alike.reshape(-1, size).sum(axis=1) < 0.0).astype(np.uint8))
             return
         self._sum += seen.prompt
         self._periods += seen.periods.shape[0]

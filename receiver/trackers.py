@@ -9,7 +9,7 @@ which may remember more, are in `phase_loops`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -56,6 +56,22 @@ def accumulate(
     return Accumulated(
         periods, early, prompt, late, seconds, period_s, coherent, blind, cn0_hz=cn0_hz
     )
+
+
+def straightened(seen: Accumulated, left: Correction) -> Accumulated:
+    """An interval with the carrier turned by what its generator lacked in the middle."""
+    count = seen.periods.shape[0]
+    t = seen.period_s * (np.arange(count) - 0.5 * (count - 1))
+    cycles = left.phase + t * (left.frequency + 0.5 * t * left.rate)
+    turns = np.exp(-2j * np.pi * cycles)[:, np.newaxis]
+    return accumulate(seen.periods * turns, seen.period_s, seen.coherent, seen.blind, seen.cn0_hz)
+
+
+def pieces(seen: Accumulated, periods: int) -> Iterator[Accumulated]:
+    """An interval cut into shorter ones, whole ones only."""
+    for first in range(0, seen.periods.shape[0] - periods + 1, periods):
+        taps = seen.periods[first : first + periods]
+        yield accumulate(taps, seen.period_s, seen.coherent, seen.blind, seen.cn0_hz)
 
 
 @brief_kernel

@@ -13,8 +13,6 @@ MAX_LOOP_PRODUCT = 0.4
 """Limit on bandwidth × coherent time. A loop with the analogue coefficients is unstable from 0.42
 (order 2) and 0.455 (order 3) on; those of core.loops would bear more."""
 
-_LATER_LOOPS = ("long_update",)
-
 
 def _whole_ms(value: float) -> int:
     return round(value * 1e3)
@@ -64,12 +62,6 @@ class AcquisitionConfig(Section):
         return self
 
 
-def _only_loops_at_hand(value: object) -> object:
-    if value in _LATER_LOOPS:
-        raise misfit("not yet in this version; expected pll2, pll3 or kalman")
-    return value
-
-
 class KalmanConfig(Section):
     """Loop `kalman`: its gains follow from C/N0, from `oscillator`, and from the motion."""
 
@@ -85,19 +77,28 @@ class KalmanConfig(Section):
     """Keep a root of the covariance (Potter), K(28), rather than itself (Joseph)."""
 
 
+class LongUpdateConfig(Section):
+    """Loop `long_update`: measured over many symbols at once, filtered by C/N0, oscillator and
+    motion."""
+
+    update: Annotated[float, Quantity(0.05, 0.4, "s")] = 0.2
+    """Length of an update, s; whole symbols of it are used."""
+    dynamics: Annotated[float, Quantity(0.001, 1000.0, "m/s³")] = 0.75
+    """By how much the jerk in the line of sight changes in a second, m/s³ (1σ)."""
+
+
 class CarrierConfig(Section):
     """Carrier loop."""
 
-    loop: Annotated[
-        Literal["pll2", "pll3", "kalman"],
-        BeforeValidator(_only_loops_at_hand),
-    ] = "pll3"
-    """Costas phase-lock loop of order 2 or 3, or a Kalman filter of phase, frequency and rate."""
+    loop: Literal["pll2", "pll3", "kalman", "long_update"] = "pll3"
+    """Costas phase-lock loop of order 2 or 3; a Kalman filter of phase, frequency and rate; or long
+    updates, with a filter of four states."""
     bandwidth: Annotated[float, Quantity(0.1, 200.0, "Hz")] = 7.0
     """One-sided noise bandwidth of the settled loop, Hz; of pll2 and pll3."""
     coherent: Annotated[float, Quantity(0.001, 0.020, "s")] = 0.020
     """Coherent time of the settled loop, s; a whole part of a 20 ms bit."""
     kalman: KalmanConfig = KalmanConfig()
+    long_update: LongUpdateConfig = LongUpdateConfig()
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

@@ -15,7 +15,7 @@ from deepgnss.evaluate.reproduce.correlator_model import RATE_HZ, Model, run, st
 from deepgnss.receiver import carrier_loops
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.modes import CarrierSettings, Mode, TrackingSettings
-from deepgnss.receiver.phase_loops import PhaseLoop, Settled
+from deepgnss.receiver.phase_loops import PhaseLoop, PlainLoop, Settled
 from deepgnss.receiver.signals import BDS_B1I_D1, BDS_B1I_D2, GPS_L1CA_SIGNAL, Signal
 from deepgnss.receiver.trackers import (
     NO_CORRECTION,
@@ -37,7 +37,7 @@ class Collected(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Collecting:
+class Collecting(PlainLoop):
     """A PLL of order 3 on the squares of several symbols, whose sums it keeps until then."""
 
     interval_s: float
