@@ -173,6 +173,8 @@ def _draw_differences(found: Comparison, path: Path) -> None:
     for (code, phase), (name, table) in zip(
         np.atleast_2d(axes), found.doubled.items(), strict=True
     ):
+        for axis in (code, phase):
+            axis.set_prop_cycle(color=list(mpl.colormaps["tab20"](np.arange(20))))
         for satellite, own in table.groupby("satellite"):
             seconds = (own["time_ms"] - table["time_ms"].min()) * 1e-3
             code.plot(seconds, own["code_m"], ".", markersize=2.5, label=str(satellite))
@@ -180,7 +182,11 @@ def _draw_differences(found: Comparison, path: Path) -> None:
             phase.plot(seconds[within], 100.0 * own["phase_m"][within], ".", markersize=2.5)
         code.set(xlabel="time, s", ylabel="code, m", title=name)
         phase.set(xlabel="time, s", ylabel="carrier, cm", title=name)
-        code.legend(markerscale=4.0, fontsize=7, ncols=4)
         for axis in (code, phase):
             axis.grid(alpha=0.3)
+    handles, names = np.atleast_2d(axes)[0, 0].get_legend_handles_labels()
+    figure.legend(
+        handles, names, loc="outside lower center", ncols=10, markerscale=4.0, fontsize=8,
+        frameon=False,
+    )  # fmt: skip
     _save(figure, path)

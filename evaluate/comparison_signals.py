@@ -41,7 +41,9 @@ def draw_signals(strengths: Mapping[str, pd.DataFrame], path: Path) -> None:
     times = {name: week_seconds(own, 0) for name, own in strengths.items()}
     begin = max(float(t.min()) for t in times.values())
     end = min(float(t.max()) for t in times.values())
-    rows = {name: sorted(own["satellite"].unique()) for name, own in strengths.items()}
+    rows = {
+        name: sorted(own["satellite"].unique(), reverse=True) for name, own in strengths.items()
+    }
     heights = [0.8 + 0.24 * len(names) for names in rows.values()]
     figure, axes = plt.subplots(
         len(rows), 1, figsize=(11.0, sum(heights) + 0.6), layout="constrained",
@@ -73,12 +75,12 @@ def draw_signals(strengths: Mapping[str, pd.DataFrame], path: Path) -> None:
                 )
                 axis.add_collection(PolyCollection(list(corners), facecolor=colour, linewidth=0.0))
                 seen.add(str(mode) if str(mode) in MODE_COLOURS else "")
-        axis.set(title=name, ylim=(0.0, max(len(rows[name]), 1)))
+        axis.set(title=name, ylim=(0.0, len(rows[name])))
         axis.set_yticks(np.arange(len(rows[name])) + 0.45, rows[name], fontsize=8)
         axis.grid(axis="x", alpha=0.3)
     axes[-1, 0].set(xlabel="time, s", xlim=(0.0, max(end - begin, 1e-3)))
     keys = [
-        Patch(color=c, label=m)
+        Patch(color=c, label=m or "lost, or no mode told")
         for m, c in ({**MODE_COLOURS, "": OTHER}).items()
         if m in seen and (m or len(seen) > 1)
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import matplotlib.image
 import numpy as np
 import pandas as pd
 import pymap3d
@@ -15,6 +16,7 @@ from report_pages import HOSTILE, faults, words
 from deepgnss.cli.main import cli
 from deepgnss.core.records import FloatArray
 from deepgnss.evaluate.comparison import Yardstick, compare
+from deepgnss.evaluate.comparison_signals import MODE_COLOURS, OTHER, draw_signals
 from deepgnss.evaluate.observations import OBSERVATION_COLUMNS
 from deepgnss.evaluate.outages import (
     Gap,
@@ -193,6 +195,23 @@ def test_a_log_that_is_the_truth_is_not_held_against_itself(truth: Trajectory) -
     found = compare([run, log], Yardstick(truth, truth_path=path))
     assert set(found.positions) == {"run"} and found.origins["log"].positions == "none"
     assert any("it is the truth" in note for note in found.notes)
+
+
+def test_strengths_are_drawn_with_and_without_modes(tmp_path: Path) -> None:
+    tow_s = _START_S + np.repeat(np.arange(0.0, 50.0), 2)
+    log = pd.DataFrame({"week": _WEEK, "tow_s": tow_s, "satellite": ["G01", "C02"] * 50})
+    log = log.assign(cn0_dbhz=np.where(tow_s < _START_S + 25.0, 45.0, 20.0))
+    run = log.assign(mode=np.where(tow_s < _START_S + 25.0, "PLL", "FFT"))
+    for name in ("a.png", "b.png"):
+        draw_signals({"run": run, "log": log}, tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    shown = (matplotlib.image.imread(tmp_path / "a.png")[:, :, :3] * 255.0).round()
+    strong, weak, plain = (
+        (shown == [int(colour[k : k + 2], 16) for k in (1, 3, 5)]).all(axis=2).sum()
+        for colour in (MODE_COLOURS["PLL"], MODE_COLOURS["FFT"], OTHER)
+    )
+    assert weak / strong == pytest.approx(5.0 / 30.0, rel=0.1)  # dB above 15, as long each
+    assert plain == pytest.approx(strong + weak, rel=0.05)
 
 
 def test_names_of_receivers_stay_text_on_the_page(truth: Trajectory) -> None:
