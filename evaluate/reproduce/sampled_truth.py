@@ -36,6 +36,13 @@ class Missed(NamedTuple):
     doppler_hz: float
 
 
+class Perfect(NamedTuple):
+    """What should have been observed."""
+
+    range_m: float
+    doppler_hz: float
+
+
 class SampledTruth:
     """True instants, ranges and Dopplers of a recording."""
 
@@ -66,18 +73,27 @@ class SampledTruth:
         offset_s = np.interp(reading_s, self._clock_s + self._offset_s, self._offset_s)
         return float(reading_s - offset_s)
 
-    def missed(self, seen: Observation, instant: SampleInstant) -> Missed | None:
-        """Errors of an observation taken at a sample; None where truth has nothing about it."""
-        path, now_s = self._paths.get(seen.satellite), self.true_s(instant)
+    def perfect(self, satellite: str, instant: SampleInstant) -> Perfect | None:
+        """Range and Doppler at a sample; None where truth has nothing about it."""
+        path, now_s = self._paths.get(satellite), self.true_s(instant)
         if path is None:
             return None
         after = int(np.searchsorted(path.seconds, now_s))
         if not 0 < after < path.seconds.size or np.diff(path.seconds)[after - 1] > _STEP_S:
             return None
-        flown_s = now_s - seen.transmit.since(self.start)
+        return Perfect(
+            float(np.interp(now_s, path.seconds, path.range_m)),
+            float(np.interp(now_s, path.seconds, path.doppler_hz)),
+        )
+
+    def missed(self, seen: Observation, instant: SampleInstant) -> Missed | None:
+        """Errors of an observation taken at a sample; None where truth has nothing about it."""
+        perfect = self.perfect(seen.satellite, instant)
+        if perfect is None:
+            return None
+        flown_s = self.true_s(instant) - seen.transmit.since(self.start)
         return Missed(
-            SPEED_OF_LIGHT_MPS * flown_s - float(np.interp(now_s, path.seconds, path.range_m)),
-            seen.doppler_hz - float(np.interp(now_s, path.seconds, path.doppler_hz)),
+            SPEED_OF_LIGHT_MPS * flown_s - perfect.range_m, seen.doppler_hz - perfect.doppler_hz
         )
 
     def errors(self, epoch: Epoch) -> dict[str, Missed]:

@@ -109,3 +109,28 @@ class Sine:
         w = 2.0 * np.pi * self.frequency_hz
         swing, slope = self.amplitude_m * np.sin(w * t_s), self.amplitude_m * np.cos(w * t_s)
         return Motion(*(np.outer(s, self.direction_n) for s in (swing, w * slope, -(w**2) * swing)))
+
+
+@dataclass(frozen=True, slots=True)
+class SineFromRest:
+    """At rest, then along a direction with an acceleration amplitude·w²·sin(w·t), w = 2π·frequency.
+
+    It never turns back: its speed is amplitude·w·(1 − cos(w·t)).
+    """
+
+    direction_n: tuple[float, float, float]  # unit vector
+    amplitude_m: float
+    frequency_hz: float
+    rest_s: float
+
+    @property
+    def breaks_s(self) -> tuple[float, ...]:
+        """Instant at which it sets out."""
+        return (self.rest_s,)
+
+    def __call__(self, t_s: FloatArray) -> Motion:
+        """Motion at seconds since the start."""
+        w = 2.0 * np.pi * self.frequency_hz
+        angle = w * np.maximum(t_s - self.rest_s, 0.0)
+        parts = (angle - np.sin(angle), w * (1.0 - np.cos(angle)), w**2 * np.sin(angle))
+        return Motion(*(np.outer(self.amplitude_m * s, self.direction_n) for s in parts))

@@ -13,7 +13,7 @@ from scipy.interpolate import PPoly
 from deepgnss.core.errors import ConfigError
 from deepgnss.io.config.quantity import Choice, ExistingFile, Quantity, Section, Switch, misfit
 from deepgnss.sim.motion.attitude import Attitude, EllipseAttitude, Steady, along
-from deepgnss.sim.motion.paths import Ellipse, Line, Path, Sine, Static
+from deepgnss.sim.motion.paths import Ellipse, Line, Path, Sine, SineFromRest, Static
 from deepgnss.sim.motion.profile import acceleration_profile, smooth_profile
 from deepgnss.sim.motion.road import Waypoint, lay_road
 from deepgnss.sim.motion.street import Limits, Stop, StreetAttitude, StreetPath, Zone, drive
@@ -127,6 +127,8 @@ class SineConfig(_Straight):
     """m, to either side."""
     frequency: Annotated[float, Quantity(0.0, 100.0, "Hz", above=True)]
     """Hz."""
+    rest: Annotated[float, Quantity(0.0, 1e6, "s")] | None = None
+    """s at rest, from which it sets out with the sine's accelerations and never turns back."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -141,7 +143,8 @@ class SineConfig(_Straight):
 
     def lay(self, place: Place) -> _Laid:
         """Return path and attitude."""
-        return self.pointed(Sine(self.direction_n(), self.amplitude, self.frequency))
+        sine = (self.direction_n(), self.amplitude, self.frequency)
+        return self.pointed(Sine(*sine) if self.rest is None else SineFromRest(*sine, self.rest))
 
 
 class _Round(Section):

@@ -76,6 +76,11 @@ def test_straight_ones() -> None:
     assert steps.attitude(np.zeros(1)).yaw.x == pytest.approx(math.pi / 4)
     sine = _built("sine: {azimuth: 180, amplitude: 2, frequency: 0.25}")
     assert _local(sine, 1.0).r_m[0, 0] == pytest.approx(-2.0)
+    away = _built("sine: {amplitude: 2, frequency: 0.25, rest: 3}")
+    assert not np.any(_local(away, 3.0))
+    peak = _local(away, 4.0)
+    assert peak.a_mps2[0, 0] == pytest.approx(2.0 * (math.pi / 2.0) ** 2)
+    assert _local(away, 5.0).v_mps[0, 0] == pytest.approx(2.0 * 2.0 * math.pi / 2.0)
 
 
 def test_round_ones() -> None:

@@ -18,7 +18,7 @@ from deepgnss.sim.motion.attitude import (
     Steady,
     along,
 )
-from deepgnss.sim.motion.paths import Ellipse, Line, Path, Sine, Static
+from deepgnss.sim.motion.paths import Ellipse, Line, Path, Sine, SineFromRest, Static
 from deepgnss.sim.motion.profile import (
     acceleration_profile,
     breaks,
@@ -49,6 +49,7 @@ MOVERS: dict[str, tuple[Path, Attitude]] = {
     "ellipse": (OVAL, EllipseAttitude(OVAL, bank=0.7)),
     "left": (LEFT, EllipseAttitude(LEFT, bank=0.5)),
     "sine": (Sine((0.0, 1.0, 0.0), 3.0, 1.5), Steady()),
+    "sine from rest": (SineFromRest((0.0, 1.0, 0.0), 3.0, 0.5, 7.0), Steady()),
     "street": (STREET, StreetAttitude(STREET, bank=0.6)),
     "squat": (STREET, StreetAttitude(STREET, bank=-0.2, squat=0.5)),
 }

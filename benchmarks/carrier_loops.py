@@ -1,0 +1,115 @@
+"""All carrier loops on one recording, unaided and aided: phase σ, slips, phases, CPU seconds."""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from tables import markdown
+
+from deepgnss.evaluate.observables import range_errors
+from deepgnss.evaluate.observations import read_observations, read_ranges, wavelength_m
+
+LOOPS = ("pll2", "pll3", "kalman", "long_update")
+_SLIP_CYCLES = 0.25
+_SHORTEST_S = 3.0  # of an arc whose mean says something
+
+
+class Run(NamedTuple):
+    """What a loop made of the recording."""
+
+    loop: str
+    aided: bool
+    errors: pd.DataFrame  # as of `range_errors`
+    cpu_s: float
+
+
+class Phases(NamedTuple):
+    """Phases of a run against the truth."""
+
+    sigma_m: float  # about the means of arcs, what an epoch has in common taken off
+    steps: int  # of more than a quarter cycle that no flag announces
+    arcs: int
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("recording", type=Path)
+    parser.add_argument("config", type=Path, help="with an inertial unit")
+    parser.add_argument("ranges", type=Path, help="ranges.csv of the recording")
+    parser.add_argument("--loop", action="append", choices=LOOPS, help="only this one (repeatable)")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings")
+    parser.add_argument("--since", type=float, default=8.0, help="s after the first observation")
+    options = parser.parse_args()
+    ranges = read_ranges(options.ranges)
+    runs = []
+    for loop in options.loop or LOOPS:
+        for aided in (False, True):
+            errors, cpu_s = process(
+                options.recording, options.config, loop, aided, options.settings
+            )
+            table = range_errors(errors, ranges)
+            since_ms = table["time_ms"].min() + 1e3 * options.since
+            runs.append(Run(loop, aided, table[table["time_ms"] >= since_ms], cpu_s))
+    heads = ("loop", "aiding", "phase σ, mm", "slips not told", "arcs", "phases, %", "CPU, s")
+    print(markdown(heads, list(lines(runs))))
+
+
+def process(recording: Path, config: Path, settings: Sequence[str]) -> tuple[pd.DataFrame, float]:
+    """Observations of a run, phases of unknown polarity left out, and its CPU seconds."""
+    with TemporaryDirectory() as out:
+        command = [Path(sys.executable).parent / "deepgnss", "process", recording]
+        command += ["--config", config, "-o", out, "--set", "output.interval=0.2"]
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        for setting in settings:
+            command += ["--set", setting]
+        subprocess.run(command, check=True, capture_output=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        observed = read_observations(Path(out) / "observations.csv")
+    whole = observed["carrier_cycles"].where(~observed["half_cycle"])
+    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return observed.assign(carrier_cycles=whole), cpu_s
+
+
+def lines(runs: list[Run]) -> Iterator[list[str]]:
+    """A row per run; shares are of what any run has a range of."""
+    keys = ["time_ms", "satellite"]
+    there = pd.concat([run.errors[keys] for run in runs]).drop_duplicates()
+    for run in runs:
+        found = phases(run.errors)
+        yield [
+            run.loop,
+            "aided" if run.aided else "none",
+            f"{1e3 * found.sigma_m:.2f}",
+            f"{found.steps}",
+            f"{found.arcs}",
+            f"{100.0 * run.errors['phase_m'].notna().sum() / len(there):.1f}",
+            f"{run.cpu_s:.0f}",
+        ]
+
+
+def phases(errors: pd.DataFrame) -> Phases:
+    """Phases of all satellites, arc by arc."""
+    own = errors.dropna(subset=["phase_m"])
+    arc = own["satellite"] + own["arc"].astype(str)
+    length_s = own.groupby(arc)["time_ms"].transform(np.ptp) / 1e3
+    own, arc = own[length_s >= _SHORTEST_S], arc[length_s >= _SHORTEST_S]
+    left = own["phase_m"]
+    for _ in range(20):  # means of arcs and of epochs, which do not always overlap alike
+        left = left - left.groupby(arc).transform("mean")
+        left = left - left.groupby(own["time_ms"]).transform("median")
+    steps = left.groupby(arc).diff().abs()
+    limit_m = own["satellite"].map(wavelength_m) * _SLIP_CYCLES
+    return Phases(float((left**2).mean() ** 0.5), int((steps > limit_m).sum()), arc.nunique())
+
+
+if __name__ == "__main__":
+    main()
