@@ -46,7 +46,11 @@ _SETTINGS: Final = (
     "positioning.outliers.threshold=3.0",
 )
 _TAGS_HZ: Final = 10
-_QUICK_S: Final = 64.0
+_QUICK: Final = (
+    *("seconds=46", "satellites.systems=[GPS]", "satellites.limit=9"),
+    "streams=[{name: L1, format: bits2, sample_rate: 5.23e6, centre_frequency: 1575.42e6}]",
+)
+_QUICK_RUNS: Final = (PLAIN, FULL, AIDED[-1])
 _DARK_S: Final = 2.0  # without a single satellite: a tunnel
 _NEEDED: Final = 4  # unblocked satellites with which a fix is due
 
@@ -63,7 +67,7 @@ class Drive(NamedTuple):
 def drive(seed: int, quick: bool) -> Drive:
     """All runs over one recording; every seed has a sky of its own."""
     settings = [f"start=2023-11-30T{(9 + 5 * seed) % 24:02d}:10:38Z"]
-    settings += [f"seconds={_QUICK_S}"] if quick else []
+    settings += _QUICK if quick else ()
     with recorded("city", seed, *settings) as recording:
         truth = _truth(recording)
         mask_deg = 10.0
@@ -72,8 +76,8 @@ def drive(seed: int, quick: bool) -> Drive:
         unblocked = seen.groupby(_tags(seen["tow"]))["satellite"].nunique()
         unblocked = unblocked.reindex(truth.index, fill_value=0)
         runs, rtk = {}, {}
-        for name, own in RUNS.items():
-            fixes = _fixes(recording, own)
+        for name in _QUICK_RUNS if quick else RUNS:
+            fixes = _fixes(recording, RUNS[name])
             runs[name] = _table(fixes, truth)
             rtk[name] = counted(recording.folder, fixes, 1.0 / _TAGS_HZ)
     return Drive(unblocked, runs, rtk)
@@ -148,7 +152,7 @@ def spreads(drives: Sequence[Drive]) -> dict[str, Spread]:
         for own, d in zip(due, drives, strict=True)
     ]
     found = {}
-    for name in RUNS:
+    for name in drives[0].runs:
         parts = [d.runs[name] for d in drives]
         errors = pd.concat([part[rows] for part, rows in zip(parts, shared, strict=True)])
         have = pd.concat([part["north_m"][rows] for part, rows in zip(parts, due, strict=True)])
@@ -181,11 +185,11 @@ def _judged(own: Spread, plain: Spread, full: Spread) -> tuple[str, bool]:
 
 
 def measure(quick: bool, seeds: Sequence[int]) -> list[Figure]:
-    """CITY-PR; quick: a tunnel and a canyon, one seed."""
+    """CITY-PR; quick: GPS to the end of the first tunnel, one seed, tight coupling."""
     drives = [drive(seed, quick) for seed in (seeds[:1] if quick else seeds)]
     found = spreads(drives)
     figures = [Figure(f"{name}: σ N / E", str(found[name]), None) for name in (PLAIN, FULL)]
-    for name in AIDED:
+    for name in [name for name in AIDED if name in found]:
         text, met = _judged(found[name], found[PLAIN], found[FULL])
         figures.append(Figure(f"{name}: σ N / E", text, None if quick else met))
     return figures
@@ -212,7 +216,7 @@ def measure_exit(quick: bool, seeds: Sequence[int]) -> list[Figure]:
     """CITY-EXIT."""
     drives = [drive(seed, quick) for seed in (seeds[:1] if quick else seeds)]
     figures = []
-    for name in (FULL, *AIDED):
+    for name in [name for name in (FULL, *AIDED) if name in drives[0].runs]:
         waits_s = [wait for one in drives for wait in exits_s(one, name)]
         longest_s = max(waits_s, default=np.inf)
         met = None if name == FULL else longest_s <= EXIT_S
@@ -227,9 +231,10 @@ def measure_exit(quick: bool, seeds: Sequence[int]) -> list[Figure]:
 
 
 def measure_rtk(quick: bool, seeds: Sequence[int]) -> list[Figure]:
-    """CITY-RTK; quick: the first tunnel and canyon of one seed."""
+    """CITY-RTK; quick: as CITY-PR."""
     drives = [drive(seed, quick) for seed in (seeds[:1] if quick else seeds)]
-    parts = {name: [one.rtk.get(name) for one in drives] for name in (FULL, *AIDED)}
+    judged = [name for name in (FULL, *AIDED) if name in drives[0].rtk]
+    parts = {name: [one.rtk[name] for one in drives] for name in judged}
     found = {
         name: added([one for one in own if one is not None])
         for name, own in parts.items()

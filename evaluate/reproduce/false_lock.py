@@ -45,7 +45,7 @@ def _error_hz(channel: Channel, model: Model) -> float:
 
 def measure(quick: bool, seeds: Sequence[int]) -> list[Figure]:
     """Shares of forced false locks left in time."""
-    trials = 6 if quick else 100
+    trials = 3 if quick else 100
     figures = []
     for cn0_dbhz in LEVELS_DBHZ:
         done = [
