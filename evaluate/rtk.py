@@ -73,7 +73,7 @@ def rtk_fixes(
     """Position several receivers at the instants between their common start and end.
 
     Parameters: observed: by receiver, as of `read_observations`.
-    Raises InputFileError: rnx2rtkp is not installed, or gives no position.
+    Raises InputFileError: rnx2rtkp is not installed.
     """
     asked = grid(truth, interval_s)
     for table in observed.values():
@@ -91,7 +91,7 @@ def rtk_positions(observed: pd.DataFrame, base: Base, mode: str = MODES[0]) -> p
     """What RTKLIB makes of a receiver's observations, as of `kinematic`.
 
     Parameters: observed: as of `read_observations`.
-    Raises InputFileError: rnx2rtkp is not installed, or gives no position.
+    Raises InputFileError: rnx2rtkp is not installed.
     """
     with TemporaryDirectory(prefix="deepgnss-rtk-") as name:
         folder = Path(name)

@@ -67,13 +67,11 @@ def kinematic(rover: Path, base: Path, nav: Path, **options: Option) -> pd.DataF
     ----------
     options: of rnx2rtkp, with _ for -, beside or instead of those of a short baseline.
 
-    Returns: week, tow_s, x_e_m, y_e_m, z_e_m, quality (1: fixed), satellites, one row per epoch.
-    Raises InputFileError: the program is not installed, or gives no position.
+    Returns: week, tow_s, x_e_m, y_e_m, z_e_m, quality (1: fixed), satellites, one row per epoch
+    with a position.
+    Raises InputFileError: the program is not installed.
     """
-    found = _table(_answer((rover, base, nav), _KINEMATIC, options))
-    if found.empty:
-        raise InputFileError(f"{rover}: rnx2rtkp gives no position against {base}")
-    return found
+    return _table(_answer((rover, base, nav), _KINEMATIC, options))
 
 
 def single(rover: Path, nav: Path, **options: Option) -> pd.DataFrame:

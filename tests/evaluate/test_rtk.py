@@ -78,6 +78,17 @@ def test_quality_stays_with_its_tag_where_tags_lie_off_the_grid() -> None:
     assert errors["horizontal_m"].max() < 1e-6
 
 
+def test_a_receiver_without_any_position_counts_as_one_without() -> None:
+    nothing = pd.DataFrame(
+        columns=["week", "tow_s", "x_e_m", "y_e_m", "z_e_m", "quality", "satellites"], dtype=float
+    )
+    every = np.arange(990.0, 1010.0, 0.5)
+    place = np.tile([3845556.0, 714943.0, 5021238.0], (every.size, 1))
+    truth = Trajectory(np.full(every.size, 2290), every, place)
+    found = shares({"a": rtk_errors(nothing, truth, 1.0)}, np.arange(10))["a"]
+    assert (found.epochs, found.right, found.without) == (10, 0, 10)
+
+
 # --- RTKLIB --------------------------------------------------------------------------------------
 
 
