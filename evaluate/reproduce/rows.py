@@ -70,6 +70,7 @@ ROWS: Final = (
         "figures 6.9–6.14",
         "within 10 % of theory; aided ≤ 1/10",
         turns.measure,
+        quick_s=30.0,
     ),
     Row(
         "PR-NOISE",
@@ -91,6 +92,7 @@ ROWS: Final = (
         "0.5 m",
         "≤ 0.5 m, no search run",
         blockage.measure,
+        quick_s=25.0,
     ),
     Row(
         "PR-MP",
@@ -105,6 +107,7 @@ ROWS: Final = (
         "figure 3.4",
         "within Monte-Carlo error of T(3.26–3.27)",
         peaks.measure,
+        quick_s=3.0,
     ),
     Row(
         "FFT-20G",
@@ -119,6 +122,7 @@ ROWS: Final = (
         "99.2 / 100 %",
         "≥ 99.5 / 100 %",
         bit_sync.measure,
+        quick_s=8.0,
     ),
     Row(
         "FRAME-20",
@@ -126,6 +130,7 @@ ROWS: Final = (
         "97.7 / 75.8 %; 0 wrong",
         "≥ 98 / 85 %; 0 wrong",
         frame_sync.measure,
+        quick_s=4.0,
     ),
     Row(
         "LOCK-25",
@@ -133,6 +138,7 @@ ROWS: Final = (
         "detected",
         "detected and corrected ≤ 2 s, ≥ 99 %",
         false_lock.measure,
+        quick_s=10.0,
     ),
     Row(
         "OL-S1",
@@ -161,6 +167,7 @@ ROWS: Final = (
         "93 / < 50 %",
         "≥ 95 / 60 %",
         open_loop.measure_drive_all,
+        quick_s=3.0,
     ),
     Row(
         "OL-VALID",
@@ -168,6 +175,7 @@ ROWS: Final = (
         "–",
         "ratio within 0.8–1.25",
         open_loop.measure_prediction,
+        quick_s=3.0,
     ),
     Row(
         "OL-CP",
@@ -182,6 +190,7 @@ ROWS: Final = (
         "unaided 3.61 / 1.50, 0.89, 93, 9.25 %; aided 0.80 / 0.93, 0.69, 99, 2.90 %",
         "ratios at least the published ones; fixed ≥ 99.5 %",
         city.measure,
+        quick_s=60.0,
     ),
     Row(
         "CITY-RTK",
@@ -189,8 +198,16 @@ ROWS: Final = (
         "257 of 297",
         "≥ 1.3 × unaided",
         city.measure_rtk,
+        quick_s=3.0,
     ),
-    Row("CITY-EXIT", "city drive: first fix after the tunnel", "1 s", "≤ 1 s", city.measure_exit),
+    Row(
+        "CITY-EXIT",
+        "city drive: first fix after the tunnel",
+        "1 s",
+        "≤ 1 s",
+        city.measure_exit,
+        quick_s=1.0,
+    ),
     Row(
         "LFM-CRB",
         "frequency and rate, 400 ms, against the Cramér–Rao bound",
@@ -256,6 +273,7 @@ ROWS: Final = (
         "≥ 150",
         speed.measure_correlator,
         alone=True,
+        quick_s=5.0,
     ),
     Row(
         "SP-CH",
@@ -272,6 +290,7 @@ ROWS: Final = (
         "≥ 5 × real time on two cores",
         speed.measure_everything,
         alone=True,
+        quick_s=30.0,
     ),
     Row(
         "SP-MEM",
@@ -280,6 +299,7 @@ ROWS: Final = (
         "≤ 1 GB, flat",
         speed.measure_memory,
         alone=True,
+        quick_s=30.0,
     ),
 )
 

@@ -31,7 +31,7 @@ class Row:
     published: str
     target: str
     measure: Measure | None = None  # None: not yet
-    quick_s: float = 10.0  # CPU time that its quick version may take
+    quick_s: float = 10.0  # CPU time that its quick version may take, on a machine at rest
     alone: bool = False  # it measures the machine: nothing else may run
 
     @property
