@@ -53,10 +53,10 @@ def main() -> None:
     runs = []
     for loop in options.loop or LOOPS:
         for aided in (False, True):
-            errors, cpu_s = process(
-                options.recording, options.config, loop, aided, options.settings
-            )
-            table = range_errors(errors, ranges)
+            settings = [f"tracking.carrier.loop={loop}", *options.settings]
+            settings += [] if aided else ["deep=false"]
+            observed, cpu_s = process(options.recording, options.config, settings)
+            table = range_errors(observed, ranges)
             since_ms = table["time_ms"].min() + 1e3 * options.since
             runs.append(Run(loop, aided, table[table["time_ms"] >= since_ms], cpu_s))
     heads = ("loop", "aiding", "phase σ, mm", "slips not told", "arcs", "phases, %", "CPU, s")
@@ -66,8 +66,9 @@ def main() -> None:
 def process(recording: Path, config: Path, settings: Sequence[str]) -> tuple[pd.DataFrame, float]:
     """Observations of a run, phases of unknown polarity left out, and its CPU seconds."""
     with TemporaryDirectory() as out:
-        command = [Path(sys.executable).parent / "deepgnss", "process", recording]
-        command += ["--config", config, "-o", out, "--set", "output.interval=0.2"]
+        program = Path(sys.executable).parent / "deepgnss"
+        command = [str(program), "process", str(recording), "--config", str(config), "-o", out]
+        command += ["--set", "output.interval=0.2"]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         for setting in settings:
             command += ["--set", setting]
