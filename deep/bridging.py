@@ -66,7 +66,7 @@ class Tag(NamedTuple):
     model_s: float  # error of the counter by the clock model at the tag
     drift: tuple[float, float]  # of the receiver's clock by Doppler and its 1σ, s/s; NaN: unknown
     leg: Leg
-    P: FloatArray  # of the navigation's inertial errors after the tag's correction
+    P: FloatArray  # of the vehicle's errors by the navigation, after the tag's correction
     C_ne: FloatArray  # (3, 3)
 
 
@@ -142,6 +142,8 @@ class Bridge:
         self._now_s, self._model_m = leg.end_s, SPEED_OF_LIGHT_MPS * tag.model_s
         known, seen = self._filter, self._seen(tag)
         jump_m, slips = self._believe(known, tag, seen, skyline)
+        for _, z_mps, H, R, *_ in leg.rolled:
+            known.take_velocities(z_mps, H, np.diagonal(R))
         self._begin(known, tag, seen, skyline)
         known.shift(leg.correction)
         if known.velocity_variance_m2ps2 > _WORSE * np.trace(tag.P[VELOCITY, VELOCITY]):

@@ -206,14 +206,14 @@ class CoupledNavigation:
             return Bridged()
         leg, estimate = state.leg, state.estimate
         there = abs(fix.epoch.time.since(leg.origin) - leg.end_s) < SAME_EPOCH_S
-        inertial = slice(0, estimate.layout.inertial)
+        vehicle = slice(0, estimate.layout.vehicle)
         tag = Tag(
             fix.epoch.observations if there else (),
             fix.coasting if there else (),
             -clock.lag_s(to_ns(fix.epoch.time), fix.epoch.instant),
             (drift, drift_sigma),
             leg,
-            estimate.P[inertial, inertial],
+            estimate.P[vehicle, vehicle],
             C_ne(estimate.ins.lat_rad, estimate.ins.lon_rad),
         )
         bridged = self._bridge.take(tag, self._aider.skyline)

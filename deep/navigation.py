@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from deepgnss.core.errors import NumericalError
 from deepgnss.core.frames import C_ne
@@ -34,7 +35,7 @@ from deepgnss.ins.error_state import difference
 from deepgnss.ins.fixes import lasting_together, with_lasting_errors
 from deepgnss.ins.increments import SAME_INSTANT_S, between
 from deepgnss.ins.integration import Coupling, InsEvent, Instant
-from deepgnss.ins.measurements import Point, body_point
+from deepgnss.ins.measurements import ROLLING, Measurement, Point, body_point
 from deepgnss.ins.ranging import RangeEpoch
 from deepgnss.ins.updates import Innovation
 from deepgnss.receiver.pvt import PvtParameters
@@ -77,12 +78,13 @@ class Leg:
     origin: GpsTime
     moved_e_m: FloatArray  # (3,) antenna
     gained_e_mps: FloatArray  # (3,) in velocity
-    H_begin: FloatArray  # (3, inertial) slope of the antenna's position (NED) in the errors
-    H_end: FloatArray  # (3, inertial)
-    Phi: FloatArray  # (inertial, inertial) of the errors, from begin to end
+    H_begin: FloatArray  # (3, n) slope of the antenna's position (NED) in the vehicle's errors
+    H_end: FloatArray  # (3, n)
+    Phi: FloatArray  # (n, n) of the errors, from begin to end
     Q: FloatArray
-    correction: FloatArray  # (inertial,) by which the tag's fix changed the errors
+    correction: FloatArray  # (n,) by which what was measured at the tag changed the errors
     at_rest: bool
+    rolled: tuple[Measurement, ...] = ()  # by wheels and road there, before that; H (k, n)
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,24 +229,29 @@ class Navigation:
 
     def _leg(self, coupling: Coupling, start: Point) -> Leg | None:
         way, before, after = coupling.carried, coupling.expected, coupling.estimate
-        inertial = slice(before.layout.inertial)
+        layout = before.layout
+        inertial, vehicle = layout.inertial, layout.vehicle
         if way.omega_ib_b_radps.size == 0:
             return None
         lever_b_m = self._inputs.settings.lever_b_m
         there = way.antenna(way.time_s[[0, -1]], lever_b_m)
-        end = body_point(before.ins, way.omega_ib_b_radps[-1], lever_b_m, before.layout)
+        end = body_point(before.ins, way.omega_ib_b_radps[-1], lever_b_m, layout)
+        wheels = vehicle - inertial
+        walked = self._inputs.settings.odometer_walk_rts**2 * float(way.time_s[-1] - way.time_s[0])
+        turned = (after.extras - before.extras)[:wheels]
         return Leg(
             float(way.time_s[0]),
             float(way.time_s[-1]),
             way.origin,
             there.r_e_m[1] - there.r_e_m[0],
             there.v_e_mps[1] - there.v_e_mps[0],
-            start.H_position[:, inertial],
-            end.H_position[:, inertial],
-            way.Phi,
-            way.Q,
-            difference(after.ins, before.ins)[inertial],
+            start.H_position[:, :vehicle],
+            end.H_position[:, :vehicle],
+            block_diag(way.Phi, np.eye(wheels)),
+            block_diag(way.Q, walked * np.eye(wheels)),
+            np.concatenate([difference(after.ins, before.ins)[:inertial], turned]),
             coupling.at_rest(float(way.time_s[-1])),
+            tuple(m._replace(H=m.H[:, :vehicle]) for m in coupling.measured if m.kind in ROLLING),
         )
 
     def _state(self, coupling: Coupling, leg: Leg | None, together: float) -> NavigationState:

@@ -6,8 +6,9 @@ The phase of a satellite, in metres and less the range predicted since its arc b
 
 with b the arc's constant, c the receiver's clock, u the direction to the satellite and d the error
 of the antenna's way by the inertial navigation (its position corrections left out). The state is
-(d, x, clock, b…): x are the navigation's errors without position, which make d grow; the clock is
-an oscillator of given power law. A phase that is missing stays predicted, with its covariance:
+(d, x, clock, b…): x are the navigation's errors without position, which make d grow (and the scale
+of an odometer, where wheels say how fast the car rolls along its axes); the clock is an oscillator
+of given power law. A phase that is missing stays predicted, with its covariance:
 differences over any stretch are as good as the phases at its ends, whoever else was there.
 
 Errors are estimate − truth; clock and phases grow with range.
@@ -214,6 +215,16 @@ class PhaseFilter:
         off_mps, covariance = self.innovation(*told)
         if off_mps[0] ** 2 < _FAR**2 * covariance[0, 0]:
             self.update(*told)
+
+    def take_velocities(self, z_mps: FloatArray, H: FloatArray, variance_m2ps2: FloatArray) -> None:
+        """Take in what wheels and road say, as the navigation does: not where it is far off.
+
+        Predicted less measured velocities (k,), and their slope (k, n) in the errors.
+        """
+        rows = np.zeros((z_mps.size, self.mean.size))
+        rows[:, self._errors] = H[:, _FROM:]
+        kept = sound(*self.innovation(rows, z_mps, variance_m2ps2), _FAR)
+        self.update(rows[kept], z_mps[kept], variance_m2ps2[kept])
 
     def innovation(
         self, H: FloatArray, y_m: FloatArray, variance_m2: FloatArray

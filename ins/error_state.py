@@ -46,6 +46,11 @@ class Layout(NamedTuple):
         return int(self.odometer) + (1 + len(self.systems) if self.systems else 0)
 
     @property
+    def vehicle(self) -> int:
+        """Number of the first errors, which are the vehicle's own: inertial ones and odometer."""
+        return self.inertial + int(self.odometer)
+
+    @property
     def odometer_scale(self) -> int:
         """Index of the odometer's scale error."""
         return self.inertial
@@ -53,7 +58,7 @@ class Layout(NamedTuple):
     @property
     def clock(self) -> int:
         """Index of the clock bias; the drift follows."""
-        return self.inertial + int(self.odometer)
+        return self.vehicle
 
     def inter_system(self, system: str) -> int | None:
         """Index of a system's bias against the first; None for the first."""

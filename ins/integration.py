@@ -183,7 +183,8 @@ class Coupling:
         self._omega_ib_b = np.zeros(3)
         self._refused = 0
         self.carried: Trajectory  # the way to the last instant …
-        self.expected: Estimate  # … and the estimate there before its corrections
+        self.expected: Estimate  # … the estimate there before its corrections …
+        self.measured: tuple[Measurement, ...] = ()  # … and what spoke of it, believed or not
 
     @property
     def estimate(self) -> Estimate:
@@ -247,7 +248,7 @@ class Coupling:
 
     def _carry(self, time_s: float) -> Trajectory:
         """Advance the navigator and the parameters behind the inertial errors."""
-        start_s = self.time_s
+        start_s, self.measured = self.time_s, ()
         self._navigator, trajectory = self._navigator.advance(self._between(time_s), time_s)
         if trajectory.omega_ib_b_radps.size:
             self._omega_ib_b = trajectory.omega_ib_b_radps[-1]
@@ -282,7 +283,8 @@ class Coupling:
 
     def _correct(self, instant: Instant, trajectory: Trajectory) -> None:
         estimate = self._navigator.estimate
-        after = updated(estimate, self._measured(instant, trajectory), self.settings.false_alarm)
+        self.measured = tuple(self._measured(instant, trajectory))
+        after = updated(estimate, self.measured, self.settings.false_alarm)
         if self.settings.keep_epochs:
             self.epochs.append(
                 FilterEpoch(

@@ -8,7 +8,7 @@ velocity (1/R, below 2e-6 of what stands there).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,10 @@ from deepgnss.ins.error_model import (
 )
 from deepgnss.ins.error_state import Estimate, Layout
 from deepgnss.ins.mechanization import pose_of
+
+
+ROLLING: Final = ("non-holonomic", "odometer")
+"""Kinds that tell how a car moves along its own axes."""
 
 
 class Measurement(NamedTuple):

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from deepgnss.core.attitude import skew
 from deepgnss.core.frames import C_ne
 from deepgnss.core.records import FloatArray, ImuGrade, NavData, Observation, Oscillator
 from deepgnss.core.time import GpsTime
@@ -15,6 +16,7 @@ from deepgnss.deep.aiding import Aider, Listener, Skyline
 from deepgnss.deep.bridging import Bridge, Bridged, Loop, Tag
 from deepgnss.deep.navigation import Leg
 from deepgnss.ins.error_model import InitialSigmas, initial_covariance, process_noise, transition
+from deepgnss.ins.measurements import Measurement
 from deepgnss.receiver.clock import ReceiverClock as ClockModel
 from deepgnss.receiver.clock import to_ns
 from deepgnss.receiver.pvt import PvtParameters
@@ -85,6 +87,7 @@ class Tags:
     drift_sps: float = 2.4e-7
     at_rest: bool = False
     step: tuple[float, float] = (np.inf, 0.0)  # when, and by how many m north, its way is off
+    wheels_mps: float | None = None  # 1σ of what wheels and road say at a tag, along every axis
 
     @cached_property
     def scenario(self) -> Scenario:
@@ -243,6 +246,7 @@ class _Errors:
         drawn = self._root @ self._random.standard_normal(15) if self._tags.grade else np.zeros(15)
         after = self.Phi @ self.x + drawn
         off_n_m = after[:3] - self.x[:3]
+        rolled = self._rolled(after)
         off_n_m[0] += self._tags.step[1] * (t - STEP_S < self._tags.step[0] <= t)
         correction = np.zeros(15)
         if self._tags.grade is not None:  # somebody keeps it within bounds
@@ -253,6 +257,21 @@ class _Errors:
         P = self.P if k == 0 else self.P + np.diag(np.repeat([1.0, 100.0, 0.0, 0.0, 0.0], 3))
         leg = Leg(
             t - STEP_S, t, START, r[1] - r[0] + C_ne(0.91, 0.18).T @ off_n_m, np.zeros(3),
-            self.H, self.H, self.Phi, self.Q, correction, self._tags.at_rest,
+            self.H, self.H, self.Phi, self.Q, correction, self._tags.at_rest, rolled,
         )  # fmt: skip
         return leg, P
+
+    def _rolled(self, x: FloatArray) -> tuple[Measurement, ...]:
+        """Velocity along the axes of a car that heads where it drives, by its own unit."""
+        sigma_mps = self._tags.wheels_mps
+        if sigma_mps is None:
+            return ()
+        C_vn = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+        H = np.zeros((3, x.size))
+        H[:, 3:6], H[:, 6:9] = C_vn, -C_vn @ skew(np.array([9.0, 12.0, 0.0]))
+        z = H @ x + sigma_mps * self._random.standard_normal(3)
+        R = sigma_mps**2 * np.eye(3)
+        return (
+            Measurement("non-holonomic", z[1:], H[1:], R[1:, 1:]),
+            Measurement("odometer", z[:1], H[:1], R[:1, :1]),
+        )

@@ -190,7 +190,9 @@ def test_at_rest_only_the_clock_grows() -> None:
     assert np.abs(errors[-1]).max() < 0.02
 
 
-def _spread(grade: str, oscillator: Oscillator, seeds: range) -> tuple[FloatArray, FloatArray]:
+def _spread(
+    grade: str, oscillator: Oscillator, seeds: range, wheels_mps: float | None = None
+) -> tuple[FloatArray, FloatArray]:
     """All blocked from 6 s on: errors and σ (seeds, tags, satellites)."""
     runs = []
     for seed in seeds:
@@ -201,6 +203,7 @@ def _spread(grade: str, oscillator: Oscillator, seeds: range) -> tuple[FloatArra
             grade=imu_grade(grade),
             satellites=6,
             seed=seed,
+            wheels_mps=wheels_mps,
         )
         told = tags.run(Bridge(oscillator, LOOP), lambda _, t: t > 6.0)
         runs.append(_carried(tags, told, 6.0))
@@ -211,6 +214,16 @@ def _spread(grade: str, oscillator: Oscillator, seeds: range) -> tuple[FloatArra
 def test_sigma_of_phases_in_open_loop_is_their_spread(grade: str, oscillator: Oscillator) -> None:
     errors, sigmas = _spread(grade, oscillator, range(10))
     for after in (10, 30, 48):
+        ratio = np.sqrt(np.mean((errors[:, after] / sigmas[:, after]) ** 2))
+        assert 0.6 < ratio < 1.5, (after, ratio)
+
+
+def test_wheels_and_road_hold_a_phase_in_open_loop() -> None:
+    """What they say of the way as well as what they let the phases learn of the attitude."""
+    errors, sigmas = _spread("MTi-G", STEADY, range(8), wheels_mps=0.05)
+    _, alone = _spread("MTi-G", STEADY, range(1))
+    assert sigmas[0, 48].mean() < 0.5 * alone[0, 48].mean()
+    for after in (30, 48):
         ratio = np.sqrt(np.mean((errors[:, after] / sigmas[:, after]) ** 2))
         assert 0.6 < ratio < 1.5, (after, ratio)
 
