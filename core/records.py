@@ -6,6 +6,7 @@ pseudorange (φ = −∫ Doppler dt); error = estimate − truth.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
@@ -209,6 +210,8 @@ class Observation:
     carrier_valid: bool  # False: no phase is written
     transmit: GpsTime  # satellite clock reading when the signal left
     arc: int = 0  # stretch of phase without a possible slip; never the same again for a signal
+    doppler_sigma_hz: float = math.nan  # NaN: as C/N0 has it
+    doppler_s: float = 0.0  # for which one measurement of it stands, carried on by aiding
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,8 @@ _REMEMBERED_S = 60.0  # fixes kept for an alignment
 # What a position's own σ leaves out: atmosphere and reflections last for seconds.
 LASTING_M = 1.0
 LASTING_S = 10.0
+_USELESS_M = 300.0  # 1σ of a position …
+_USELESS_MPS = 10.0  # … and of a velocity that say nothing
 _TRY_EVERY_S = 1.0  # between alignments tried
 
 
@@ -167,7 +169,8 @@ class Navigation:
             apart_s = self._apart_s(fix.epoch.time)
             gnss = fix_of(fix.solution) if fix.solution.valid else None
             if gnss is not None:
-                gnss = _weighed(gnss, apart_s)
+                gnss = _weighed(gnss, apart_s, _lasting_doppler_s(fix))
+            if gnss is not None:
                 self._remember(gnss)
             time_s = fix.epoch.time.since(self._inputs.block.origin)
             if self._coupling is None:
@@ -335,8 +338,27 @@ def _antenna(estimate: Estimate, point: Point) -> Antenna:
     return Antenna(point.r_e_m, to_e @ point.v_n_mps, H @ estimate.P @ H.T)
 
 
-def _weighed(fix: GnssFix, apart_s: float) -> GnssFix:
-    """A fix of the receiver's own: errors that last, and a velocity only where it has one."""
-    if fix.v_n_mps is not None and not np.isfinite(fix.v_n_mps).all():
-        fix = replace(fix, v_n_mps=None, velocity_covariance_n_m2ps2=None)
+def _lasting_doppler_s(fix: Fix) -> float:
+    """For how long a tag's Dopplers are the same measurements, carried on."""
+    used = set(fix.solution.used)
+    return max((o.doppler_s for o in fix.epoch.observations if o.satellite in used), default=0.0)
+
+
+def _weighed(fix: GnssFix, apart_s: float, doppler_s: float) -> GnssFix | None:
+    """A fix of the receiver's own: errors that last, and a velocity only where it has one.
+
+    None: so far off, by its own word, that nothing of it is linear.
+    """
+    if np.trace(fix.covariance_n_m2) > _USELESS_M**2:
+        return None
+    V = fix.velocity_covariance_n_m2ps2
+    if fix.v_n_mps is not None and V is not None:
+        known = np.isfinite(fix.v_n_mps).all() and np.trace(V) < _USELESS_MPS**2
+        same = max(1.0, doppler_s / apart_s)  # tags that count as one
+        fix = replace(
+            fix,
+            v_n_mps=fix.v_n_mps if known else None,
+            velocity_covariance_n_m2ps2=V * same if known else None,
+            velocity_age_s=doppler_s,  # half of it since its middle, the rest until the next one
+        )
     return with_lasting_errors(fix, LASTING_M, 0.0, LASTING_S, apart_s)

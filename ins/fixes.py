@@ -20,6 +20,7 @@ class GnssFix:
     covariance_n_m2: FloatArray  # (3, 3)
     v_n_mps: FloatArray | None = None  # (3,)
     velocity_covariance_n_m2ps2: FloatArray | None = None  # (3, 3)
+    velocity_age_s: float = 0.0  # measured so long ago, and carried on by the increments since
     together: float = 1.0  # so many positions in a row count as one: their covariance has it in
 
 

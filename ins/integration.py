@@ -314,7 +314,8 @@ class Coupling:
                 models.position(ins, antenna, fix.r_e_m, fix.covariance_n_m2, fix.together)
             )
             if fix.v_n_mps is not None and fix.velocity_covariance_n_m2ps2 is not None:
-                found.append(models.velocity(antenna, fix.v_n_mps, fix.velocity_covariance_n_m2ps2))
+                v = models.velocity(antenna, fix.v_n_mps, fix.velocity_covariance_n_m2ps2)
+                found.append(_aged(v, fix.velocity_age_s, trajectory))
         if self._stands(instant):
             lengths_s = np.diff(trajectory.time_s)
             rate = lengths_s @ trajectory.omega_ib_b_radps / lengths_s.sum()
@@ -368,6 +369,17 @@ class Coupling:
         rate = block.dtheta_b_rad[first : row + 1].sum(axis=0) / passed_s
         turning = rate - self._navigator.estimate.ins.gyro_bias_radps
         return bool(np.linalg.norm(turning) > TURNING_RADPS)
+
+
+def _aged(velocity: Measurement, age_s: float, trajectory: Trajectory) -> Measurement:
+    """A velocity carried on by the increments: what they were wrong by since is in both."""
+    if age_s == 0.0:
+        return velocity
+    Phi, H = trajectory.Phi, velocity.H.copy()
+    passed_s = float(trajectory.time_s[-1] - trajectory.time_s[0])
+    growth_ps = (Phi[VELOCITY] - np.eye(Phi.shape[0])[VELOCITY]) / passed_s
+    H[:, : Phi.shape[0]] -= age_s * growth_ps
+    return velocity._replace(H=H)
 
 
 def _instants(

@@ -37,7 +37,6 @@ from deepgnss.ins.error_model import (
 from deepgnss.ins.error_state import Estimate, Layout
 from deepgnss.ins.mechanization import pose_of
 
-
 ROLLING: Final = ("non-holonomic", "odometer")
 """Kinds that tell how a car moves along its own axes."""
 

@@ -26,8 +26,9 @@ from deepgnss.receiver.baseband import Correlator, correlate
 from deepgnss.receiver.carrier_tracking import CarrierTracking
 from deepgnss.receiver.code_loop import CodeLoop
 from deepgnss.receiver.decisions import Go, Locked, Shift, decide
+from deepgnss.receiver.frequency_tracking import tone_sigma_hz
 from deepgnss.receiver.hearing import Hearing
-from deepgnss.receiver.interval import Interval, led_on, of_arc, turned
+from deepgnss.receiver.interval import NOTHING_HEARD, Heard, Interval, led_on, of_arc, turned
 from deepgnss.receiver.known_symbols import KnownSymbols, signs
 from deepgnss.receiver.leading import Leading
 from deepgnss.receiver.locks import (
@@ -129,6 +130,7 @@ class Channel:
         self._phase_since = sample
         self.phase_valid = False
         self.frequency_error_hz = 0.0
+        self._heard = NOTHING_HEARD
         self._acquired_hz = doppler_hz
         self._returned = sample - int(1e9)  # from no gap yet
 
@@ -288,6 +290,11 @@ class Channel:
                     self._carriers.windowed.straightened(window)
                 )
                 middle_s = end_s - 0.5 * window.seconds
+                self._heard = Heard(
+                    self._carriers.windowed.unfollowed_hz(carrier),
+                    tone_sigma_hz(self.cn0_dbhz, window),
+                    window.seconds,
+                )
         elif self.mode is not Mode.HOLD and 4 * seen.periods.shape[0] >= self._full:
             edge_known = self.edge is not None
             carrier = self._carriers.correct(self.mode, seen, edge_known=edge_known)
@@ -296,7 +303,9 @@ class Channel:
 
         def put_right(interval: Interval) -> Interval:
             later_s = (here - interval.command.sample) / self._rate
-            return interval._replace(correction=carrier, middle_s=middle_s + later_s)
+            return interval._replace(
+                correction=carrier, middle_s=middle_s + later_s, window=self._heard
+            )
 
         self._revise(put_right)
         count = seen.periods.shape[0]
@@ -384,7 +393,7 @@ class Channel:
             seen.periods if count == size else self._taken,
             self.periods + count,
             self.locks.noise,
-            self.command.carrier_hz - self._aiding.frequency_hz,
+            self.command.carrier_hz - self._leading.led_hz,
             self._known_signs,
         )
 
@@ -574,7 +583,7 @@ class Channel:
     def _leave_false_lock(self, off_hz: float) -> None:
         self._forget_phase()
         self._carrier = NcoState(
-            self._carrier.phase, self._carrier.frequency + off_hz, self._aiding.rate_hzps
+            self._carrier.phase, self._carrier.frequency + off_hz, self._leading.rate_anew()
         )
         self.command = self._command(self.command.sample, self.command.code_chips)
         self.locks = restart_phase(self.locks)
@@ -619,7 +628,7 @@ class Channel:
             self.locks = restart_phase(self.locks)
             self._carriers.restart()
         elif not self._carriers.finds_rate(mode):  # a plain frequency loop keeps no rate of its own
-            self._carrier = self._carrier._replace(rate=self._aiding.rate_hzps)
+            self._carrier = self._carrier._replace(rate=self._leading.rate_anew())
         self.command = self._command(self.command.sample, self.command.code_chips)
         if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
             self._hearing.forget()
@@ -634,6 +643,7 @@ class Channel:
         if mode is Mode.WEAK or (self.mode is Mode.HOLD and self.aided):
             self.locks = self.locks._replace(seconds=0.0)
         self.frequency_error_hz = 0.0
+        self._heard = NOTHING_HEARD
         self.mode = mode
         self._since = self.command.sample
         self._note(mode.value, reason)
@@ -768,6 +778,7 @@ class Channel:
             self.half_cycle,
             coasting=self.coasting,
             frequency_valid=self._seconds_since(self._returned) > self._found_again_s,
+            window=self._heard,
         )
 
     def at(self, sample: int) -> Interval:

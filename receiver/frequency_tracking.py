@@ -92,6 +92,10 @@ class SpectralLock:
             rate_gain / seen.seconds * tone.frequency_hz,
         )
 
+    def unfollowed_hz(self, correction: Correction) -> float:
+        """What a correction has left of the frequency seen."""
+        return (1.0 / self.gain - 1.0) * correction.frequency
+
     def straightened(self, seen: Accumulated) -> Accumulated:
         """The window turned to its tone, for a code loop that adds it up coherently."""
         if not seen.coherent:
@@ -112,6 +116,16 @@ def spectral_lock(settings: FrequencySettings) -> SpectralLock:
 def noise_bandwidth_hz(settings: FrequencySettings) -> float:
     """One-sided noise bandwidth of the frequency it tracks (as if of order 1)."""
     return 0.5 * settings.gain / ((2.0 - settings.gain) * settings.window_s)
+
+
+def tone_sigma_hz(cn0_dbhz: float, seen: Accumulated) -> float:
+    """1σ of a window's frequency, the Cramér–Rao bound of a tone (Rife and Boorstyn 1974).
+
+    Squares of sums of SNR s have the SNR s²/(s + ½) / 4 of a tone twice as fast.
+    """
+    snr = 10.0 ** (0.1 * cn0_dbhz) * seen.period_s
+    snr = snr if seen.coherent else snr * snr / (snr + 0.5)
+    return math.sqrt(6.0 / (seen.periods.shape[0] * snr)) / (math.tau * seen.seconds)
 
 
 def window_of(

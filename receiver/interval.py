@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from deepgnss.core.records import NcoCommand
 from deepgnss.receiver.open_loop import Led
 from deepgnss.receiver.trackers import NO_CORRECTION, Correction
+
+
+class Heard(NamedTuple):
+    """What a window of symbols said of the frequency."""
+
+    unfollowed_hz: float = 0.0  # by how much the generator, as corrected by it, still misses it
+    sigma_hz: float = math.nan  # 1σ of what it said
+    seconds: float = 0.0  # its length, and how long nothing newer is heard
+
+
+NOTHING_HEARD = Heard()
 
 
 class Interval(NamedTuple):
@@ -29,6 +41,7 @@ class Interval(NamedTuple):
     middle_s: float = 0.0  # … at its middle, s after the command
     coasting: bool = False  # in open loop, by aiding
     frequency_valid: bool = True  # the loop's own, no longer the prediction's
+    window: Heard = NOTHING_HEARD  # the last one, in frequency tracking by windows
 
 
 def turned(command: NcoCommand, cycles: float, chips: float) -> NcoCommand:

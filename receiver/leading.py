@@ -5,12 +5,16 @@ from __future__ import annotations
 from deepgnss.receiver.modes import NO_AIDING, AidingSource, Mode, unaided
 from deepgnss.receiver.trackers import NcoState
 
+_FOLLOWING = (Mode.PHASE, Mode.WEAK)
+
 
 class Leading:
     """What was last predicted, and by whom."""
 
     def __init__(self, sample_rate_hz: float) -> None:
         self.now = NO_AIDING
+        self.led_hz = 0.0  # the part of the carrier's frequency that is the prediction's
+        self._led_hzps = 0.0
         self._told_by: AidingSource = unaided
         self._rate = sample_rate_hz
 
@@ -18,6 +22,11 @@ class Leading:
     def aided(self) -> bool:
         """Whether predictions lead the generators."""
         return self.now != NO_AIDING
+
+    def rate_anew(self) -> float:
+        """Frequency rate for a carrier that forgets its own: the prediction's, Hz/s."""
+        self._led_hzps = self.now.rate_hzps
+        return self._led_hzps
 
     def lead(
         self,
@@ -31,9 +40,9 @@ class Leading:
     ) -> NcoState:
         """Carrier with what the prediction says has changed since the last command.
 
-        A phase loop knows its frequency better than the navigation: it takes what the prediction
-        of now says of both instants. What a fix has corrected in between is news of the
-        navigation, not a motion.
+        A loop that follows the carrier takes what the prediction of now says of both instants.
+        What a fix has corrected in between is news of the navigation, not a motion: it came of the
+        loops' own Dopplers, and would reach them twice.
 
         Parameters: sample of the last command and how many it lasted; whether the loop has a
         frequency rate of its own.
@@ -41,15 +50,19 @@ class Leading:
         was, aid = self.now, source(sample + samples)
         told_before, self.now, self._told_by = self._told_by, aid, source
         if NO_AIDING in (was, aid):  # it begins or ends: a loop with a rate of its own goes on
+            self.led_hz, self._led_hzps = aid.frequency_hz, aid.rate_hzps
             return carrier if own_rate else carrier._replace(rate=aid.rate_hzps)
-        if mode is Mode.PHASE and source is not told_before:
+        if mode in _FOLLOWING and source is not told_before:
             before = source(sample)
             was = before if own_rate else before._replace(rate_hzps=was.rate_hzps)
         step_hz = aid.frequency_hz - (was.frequency_hz + samples / self._rate * was.rate_hzps)
+        step_hzps = aid.rate_hzps - was.rate_hzps
+        self.led_hz += samples / self._rate * self._led_hzps + step_hz
+        self._led_hzps += step_hzps
         if mode is Mode.HOLD:
             step_hz += aid.clock_hz - was.clock_hz
         return NcoState(
             carrier.phase,
             carrier.frequency + step_hz,
-            carrier.rate + aid.rate_hzps - was.rate_hzps,
+            carrier.rate + step_hzps,
         )

@@ -30,6 +30,7 @@ class Measured(NamedTuple):
     rates_mps: FloatArray  # −λD, NaN where there is none
     carriers_hz: FloatArray
     cn0_dbhz: FloatArray
+    rate_sigmas_mps: FloatArray  # as the loops have them; NaN where C/N0 tells
 
 
 def measure(
@@ -69,6 +70,9 @@ def measure(
         rates_mps=-SPEED_OF_LIGHT_MPS / carriers_hz * dopplers_hz,
         carriers_hz=carriers_hz,
         cn0_dbhz=np.array([o.cn0_dbhz for o in observations]),
+        rate_sigmas_mps=SPEED_OF_LIGHT_MPS
+        / carriers_hz
+        * np.array([o.doppler_sigma_hz for o in observations]),
     )
     return measured, rejected
 
@@ -126,7 +130,7 @@ def ranges_from(
         rate_mps=measured.rates_mps + (SPEED_OF_LIGHT_MPS - still) * states.drift_sps,
         cn0_dbhz=cn0_dbhz,
         sigma_m=range_sigma(errors, ephemerides, elevation, cn0_dbhz, variance_m2),
-        rate_sigma_mps=rate_sigma(errors, cn0_dbhz),
+        rate_sigma_mps=rate_sigma(errors, cn0_dbhz, measured.rate_sigmas_mps),
     )
     rows = np.flatnonzero(measured.usable & (elevation >= parameters.elevation_mask_rad))
     names = tuple(every.satellites[row] for row in rows)

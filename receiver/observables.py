@@ -92,7 +92,9 @@ def observe(
             pseudorange_m=pseudorange_m,
             carrier_cycles=phase + ambiguity + (interval.half_cycle or 0.0),
             # The clock model's drift is per second of the sample counter, Doppler per GPST's.
-            doppler_hz=(carrier.frequency + frequency_hz * clock.drift_sps)
+            doppler_hz=(
+                carrier.frequency + interval.window.unfollowed_hz + frequency_hz * clock.drift_sps
+            )
             / (1.0 - clock.drift_sps)
             if interval.frequency_valid
             else math.nan,
@@ -103,6 +105,8 @@ def observe(
             carrier_valid=valid,
             transmit=from_ns(sent_ns).plus(rest_s),
             arc=interval.slips,
+            doppler_sigma_hz=interval.window.sigma_hz,
+            doppler_s=interval.window.seconds,
         ),
         PhaseMemory(ambiguity, interval.slips if valid else memory.slips),
         interval.coasting,

@@ -299,7 +299,7 @@ def _velocity(
             1.0 - measured.rates_mps / SPEED_OF_LIGHT_MPS,
         ]
     )
-    sigma = rate_sigma(parameters.errors, measured.cn0_dbhz)
+    sigma = rate_sigma(parameters.errors, measured.cn0_dbhz, measured.rate_sigmas_mps)
     rows = np.flatnonzero(fix.used & np.isfinite(misfit))
     told_H, told = np.zeros((0, 4)), np.zeros(0)
     if place is not None:

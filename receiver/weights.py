@@ -109,7 +109,10 @@ def range_sigma(
     )
 
 
-def rate_sigma(model: ErrorModel, cn0_dbhz: FloatArray) -> FloatArray:
-    """Standard deviation of each pseudorange rate, m/s, shape (k,)."""
+def rate_sigma(model: ErrorModel, cn0_dbhz: FloatArray, told_mps: FloatArray) -> FloatArray:
+    """Standard deviation of each pseudorange rate, m/s, shape (k,).
+
+    told_mps (k,): noise as the loop itself knows it; NaN: it follows from C/N0.
+    """
     noise_mps = model.rate_noise_mps * 10.0 ** ((45.0 - cn0_dbhz) / 20.0)
-    return np.hypot(model.rate_floor_mps, noise_mps)
+    return np.hypot(model.rate_floor_mps, np.where(np.isnan(told_mps), noise_mps, told_mps))

@@ -67,3 +67,17 @@ def test_a_loop_without_a_rate_of_its_own_runs_at_the_rate_it_is_told() -> None:
     natural = 7.0 / 0.53
     left = channel.history[-2].correction.phase
     assert 0.2 * 2.0 / natural**2 < -left < 2.0 / natural**2
+
+
+def test_what_a_fix_corrects_does_not_shake_frequency_tracking() -> None:
+    """The same noise, once with corrections of 2 m/s from epoch to epoch and once without."""
+    ends = []
+    for off_hz in (0.0, 10.0):
+        model = Model(lambda t: 45.0 if t < 2.0 else 22.0, rate_hzps=8.0)
+        channel = start(model, TrackingSettings())
+        for k in range(90):
+            go_on(channel, 0.1 * (k + 1), told(model, off_hz * (-1) ** k if k > 70 else 0.0))
+        assert channel.mode is Mode.WEAK
+        ends.append(channel.command)
+    assert ends[0].carrier_hz == pytest.approx(ends[1].carrier_hz, abs=0.05)
+    assert ends[0].carrier_hz == pytest.approx(model.doppler_hz + 9.0 * 8.0, abs=1.0)

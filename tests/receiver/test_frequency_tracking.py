@@ -82,6 +82,36 @@ def test_known_symbols_are_told_only_where_all_are() -> None:
     assert signs(known, 1060, 3, 20) is None
 
 
+@pytest.mark.parametrize("known", [False, True])
+def test_doppler_of_a_window_errs_as_it_says(known: bool) -> None:
+    """Each window speaks for itself, whatever the loop has followed of it: independent, no lag."""
+    model = Model(_falls_to(23.0), rate_hzps=0.4, seed=7)
+    channel = start(model, SETTINGS)
+    if known:
+        _tell(channel, model, model.symbols)
+    errors, sigmas = [], []
+
+    def windows(one: Channel) -> None:
+        for interval in one.history:
+            t = interval.command.sample / RATE_HZ
+            if t > 10.0 and interval.correction.frequency and not (errors and t <= last[0]):
+                last[0] = t
+                seen_hz = interval.command.carrier_hz + interval.correction.frequency
+                errors.append(
+                    seen_hz + interval.window.unfollowed_hz - model.doppler_hz - model.rate_hzps * t
+                )
+                sigmas.append(interval.window.sigma_hz)
+
+    last = [0.0]
+    run(channel, 60.0, windows)
+    found = np.array(errors)
+    assert found.size > 150
+    assert found.std() == pytest.approx(np.mean(sigmas), rel=0.25)
+    assert abs(found.mean()) < 4.0 * found.std() / np.sqrt(found.size)
+    alike = np.corrcoef(found[:-1], found[1:])[0, 1]
+    assert abs(alike) < 3.0 / np.sqrt(found.size)
+
+
 @pytest.mark.parametrize("off_hz", [25.0, -25.0, 9.375, -6.25, 0.0])
 def test_watch_finds_a_lock_that_is_off(off_hz: float) -> None:
     watch = LockWatch(SYMBOL_S, 0.32, 3)

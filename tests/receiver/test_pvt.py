@@ -183,7 +183,7 @@ def test_errors_agree_with_the_covariance() -> None:
         parameters, errors=replace(parameters.errors, ionosphere=0.0, troposphere=0.0)
     )
     sigma_m = range_sigma(parameters.errors, ephemerides, elevation, cn0, np.zeros(len(cn0)))
-    sigma_hz = rate_sigma(parameters.errors, cn0) * 1_575.42e6 / C
+    sigma_hz = rate_sigma(parameters.errors, cn0, np.full(cn0.shape, np.nan)) * 1_575.42e6 / C
     nees, velocity_nees = [], []
     for _ in range(150):
         noisy = replace(
