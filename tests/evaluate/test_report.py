@@ -17,7 +17,12 @@ from deepgnss.evaluate.positions import Section, read_sections
 from deepgnss.evaluate.report.axes import around, linear, logarithmic, time_axis
 from deepgnss.evaluate.report.chart import thinned
 from deepgnss.evaluate.report.html import Html, document, element
-from deepgnss.evaluate.report.run import run_page
+from deepgnss.evaluate.report.run import (
+    read_run_files,
+    run_page,
+    with_sections,
+    write_run_report,
+)
 from deepgnss.evaluate.report.signals import strengths
 from deepgnss.evaluate.report.stretches import (
     equal,
@@ -119,6 +124,10 @@ def test_a_folder_gives_the_same_bytes_every_time(tmp_path: Path) -> None:
     assert pages[0] == pages[1]
     told = words(pages[0].decode())
     assert "my.bin" in told and "2023-11-26 00:16:22 UTC" in told  # 18 leap seconds off GPST
+    cut = with_sections(read_run_files(tmp_path), tmp_path, (Section("yard", 1005.0, 1015.0),))
+    page = write_run_report(tmp_path, cut).read_bytes()
+    assert "yard 0:05 – 0:15" in words(page.decode())
+    assert write_run_report(tmp_path).read_bytes() == page  # the folder knows its sections
 
 
 def _more(name: str) -> dict[str, object]:
