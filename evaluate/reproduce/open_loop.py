@@ -308,7 +308,7 @@ def measure_drive_all(quick: bool, seeds: Sequence[int]) -> list[Figure]:
 
     By itself an MTi-G as of T table 4.1 walks off by 1.4 cycles in 5 s, 1σ, from a start without
     any error (the drift of its accelerometers alone by 1.3): little more than a quarter stays
-    within half a cycle, whatever was known. Wheels hold it.
+    within half a cycle, whatever was known. Wheels hold the way, the better the slower the car.
     """
     targets = {"FSAS": 0.95, "MTi-G": None, "MTi-G on wheels": 0.60}
     return _measure_drive(quick, seeds, "all", targets)
