@@ -42,6 +42,7 @@ ROWS: Final = (
         "0.075 / 0.3 cm",
         "≤ 0.06 / 0.25 cm",
         carrier_phase.measure_drive_47,
+        quick_s=25.0,
     ),
     Row(
         "CP-S33",
@@ -56,6 +57,7 @@ ROWS: Final = (
         "0.25 / 0.26 cm",
         "≤ 1.2 · √2 σ_th",
         carrier_phase.measure_drive_35,
+        quick_s=25.0,
     ),
     Row(
         "CP-D26",
@@ -63,6 +65,7 @@ ROWS: Final = (
         "0.70 cm, 0",
         "≤ 1.19 · √2 σ_th, 0 in 300 s",
         carrier_phase.measure_drive_26,
+        quick_s=25.0,
     ),
     Row(
         "CP-TURN",
@@ -78,6 +81,7 @@ ROWS: Final = (
         "figures 6.3–6.8",
         "within 10 % of T(2.25)",
         code_noise.measure,
+        quick_s=23.0,
     ),
     Row(
         "PR-W215",
@@ -92,7 +96,7 @@ ROWS: Final = (
         "0.5 m",
         "≤ 0.5 m, no search run",
         blockage.measure,
-        quick_s=25.0,
+        quick_s=29.0,
     ),
     Row(
         "PR-MP",
@@ -100,6 +104,7 @@ ROWS: Final = (
         "0.25, 0.025 chip",
         "as theory",
         multipath.measure,
+        quick_s=18.0,
     ),
     Row(
         "FFT-PD",
@@ -107,7 +112,7 @@ ROWS: Final = (
         "figure 3.4",
         "within Monte-Carlo error of T(3.26–3.27)",
         peaks.measure,
-        quick_s=3.0,
+        quick_s=2.0,
     ),
     Row(
         "FFT-20G",
@@ -122,7 +127,7 @@ ROWS: Final = (
         "99.2 / 100 %",
         "≥ 99.5 / 100 %",
         bit_sync.measure,
-        quick_s=8.0,
+        quick_s=6.0,
     ),
     Row(
         "FRAME-20",
@@ -138,7 +143,7 @@ ROWS: Final = (
         "detected",
         "detected and corrected ≤ 2 s, ≥ 99 %",
         false_lock.measure,
-        quick_s=10.0,
+        quick_s=8.0,
     ),
     Row(
         "OL-S1",
@@ -146,6 +151,7 @@ ROWS: Final = (
         "100 %",
         "100 %",
         open_loop.measure_rest_one,
+        quick_s=19.0,
     ),
     Row(
         "OL-SALL",
@@ -190,7 +196,7 @@ ROWS: Final = (
         "unaided 3.61 / 1.50, 0.89, 93, 9.25 %; aided 0.80 / 0.93, 0.69, 99, 2.90 %",
         "ratios at least the published ones; fixed ≥ 99.5 %",
         city.measure,
-        quick_s=60.0,
+        quick_s=40.0,
     ),
     Row(
         "CITY-RTK",
