@@ -12,6 +12,7 @@ from deepgnss.receiver.frequency_tracking import (
     noise_bandwidth_hz,
     spectral_lock,
 )
+from deepgnss.receiver.locks import FAST_S, PHASE_S
 from deepgnss.receiver.modes import Mode, TrackingSettings
 from deepgnss.receiver.signals import Signal
 from deepgnss.receiver.sync import decided_signs
@@ -24,6 +25,7 @@ from deepgnss.receiver.trackers import (
 )
 
 _LOCKED_S = 0.2  # of a phase loop before it is believed …
+_INDICATED, _NOTICED = 8, 2  # updates
 _LONG_S = 0.1  # … but of one with longer updates a single one
 _BEFORE_LOCK = (Mode.PULL_IN, Mode.FREQUENCY)
 
@@ -71,6 +73,16 @@ class CarrierTracking:
         """Time after which a phase lock is believed."""
         interval_s = self.settled.interval_s
         return _LOCKED_S if interval_s < _LONG_S else min(_LOCKED_S, 0.9 * interval_s)
+
+    @property
+    def indicator_s(self) -> float:
+        """Averaging of the phase's indicator: of symbols too weak for their phase, some updates."""
+        return max(PHASE_S, _INDICATED * self.settled.interval_s)
+
+    @property
+    def fast_s(self) -> float:
+        """Averaging of what notices a blockage: whoever decides seldom need not see it sooner."""
+        return max(FAST_S, _NOTICED * self.settled.interval_s)
 
     def periods(self, mode: Mode) -> int:
         """Code periods of an undivided interval; frequency is seen best over whole symbols."""

@@ -531,7 +531,9 @@ class Channel:
             slow_s = FAINT_S if self.mode is Mode.WEAK else USUAL_S
             self.locks = update_powers(self.locks, seen, slow_s, size)
         else:
-            self.locks = update_locks(self.locks, seen, size)
+            self.locks = update_locks(
+                self.locks, seen, size, self._carriers.indicator_s, self._carriers.fast_s
+            )
 
     def _hear(self) -> None:
         """Without phase lock: find the symbols' edges."""

@@ -14,13 +14,13 @@ from deepgnss.receiver.trackers import Accumulated
 
 USUAL_S = 1.0  # averaging of the reported C/N0
 FAINT_S = 3.0  # the same in frequency tracking: 0.3 dB at 20 dB-Hz
-_FAST_S = 0.1  # averaging that notices a blockage
+FAST_S = 0.1  # averaging that notices a blockage
 _RECENT = 5  # intervals that notice the blockage of a strong signal
 _FAINT = 30  # intervals that notice that a weak one went or came
 _INTERVAL_S = 0.02
 _PLAIN_DBHZ = 32.0  # of a signal whose absence is seen in a single interval …
 _DARK = 0.25  # … by its power
-_PHASE_S = 0.4  # averaging of what tells phase lock from false lock
+PHASE_S = 0.4  # averaging of what tells phase lock from false lock
 
 
 class LockState(NamedTuple):
@@ -114,9 +114,13 @@ def mean_shifted_powers(taps: ComplexArray, shifts: ComplexArray) -> tuple[float
 
 
 def update_powers(
-    state: LockState, seen: Accumulated, slow_s: float = USUAL_S, symbol_periods: int = 0
+    state: LockState,
+    seen: Accumulated,
+    slow_s: float = USUAL_S,
+    symbol_periods: int = 0,
+    fast_s: float = FAST_S,
 ) -> LockState:
-    """Take one interval into the averages of signal and noise.
+    """Take one interval into the averages of signal and noise, slow and fast ones.
 
     symbol_periods: of the parts of the interval that may be summed; 0: all of it.
 
@@ -140,7 +144,7 @@ def update_powers(
         noise = max(wide / count - max(signal, 0.0), 0.0)
     seconds = state.seconds + seen.seconds
     slow = seen.seconds / min(seconds, slow_s)
-    fast = seen.seconds / min(seconds, _FAST_S)
+    fast = seen.seconds / min(seconds, fast_s)
     return LockState(
         seconds,
         state.signal + slow * (signal - state.signal),
@@ -153,16 +157,25 @@ def update_powers(
     )
 
 
-def update_locks(state: LockState, seen: Accumulated, symbol_periods: int = 0) -> LockState:
-    """Take one interval, of one symbol or of several so long, into all averages."""
+def update_locks(
+    state: LockState,
+    seen: Accumulated,
+    symbol_periods: int = 0,
+    phase_s: float = PHASE_S,
+    fast_s: float = FAST_S,
+) -> LockState:
+    """Take one interval, of one symbol or of several so long, into all averages.
+
+    phase_s: averaging of the phase's indicator; fast_s: that of what notices a blockage.
+    """
     count = seen.periods.shape[0]
     if count < 2:
         return state
-    state = update_powers(state, seen)
+    state = update_powers(state, seen, fast_s=fast_s)
     if not (seen.coherent and seen.prompt):
         return state
     phase_seconds = state.phase_seconds + seen.seconds
-    gain = seen.seconds / min(phase_seconds, _PHASE_S)
+    gain = seen.seconds / min(phase_seconds, phase_s)
     double = (seen.prompt * seen.prompt).real / abs(seen.prompt) ** 2
     shifted, size = state.shifted, symbol_periods or count
     if count % size == 0:  # before the first edge a part of a symbol

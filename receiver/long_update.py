@@ -138,6 +138,11 @@ class LongUpdateLoop:
             frequency = 0.5 * double[0]
             rate = 0.5 * double[1] if _tells_rate(P, R) else 0.0
         line = complex((squares * turns(sums.size, interval_s, 2 * frequency, 2 * rate)).sum())
+        if not _is_wide(P, seconds):
+            unlikely = frequency**2 / (2.0 * float(P[1, 1] + R[1, 1]))
+            if _gain(squares, line) < unlikely:  # a line of noise, of a weak signal
+                frequency = rate = 0.0
+                line = complex(squares.sum())
         expected = float(P[0, 1] / (P[1, 1] + R[1, 1])) * frequency
         phase = expected + math.remainder(0.5 * cmath.phase(line) / _TURN - expected, 0.5)
         turned = straight * turns(sums.size, interval_s, frequency, rate)
@@ -185,6 +190,14 @@ def _is_wide(P: FloatArray, seconds: float) -> bool:
     return math.sqrt(float(P[1, 1])) * seconds > _WIDE
 
 
+def _gain(squares: ComplexArray, line: complex) -> float:
+    """Logarithm of the likelihood of a line in squares (n,) over that of the line foreseen."""
+    count = squares.size
+    power = abs(line) ** 2 / count
+    noise = (float(np.vdot(squares, squares).real) - power) / (count - 1)
+    return (power - abs(complex(squares.sum())) ** 2 / count) / noise if noise > 0.0 else math.inf
+
+
 def _tells_rate(P: FloatArray, R: FloatArray) -> bool:
     return bool(P[2, 2] > _TOLD**2 * R[2, 2])
 
@@ -204,11 +217,14 @@ def _measured(prompts: ComplexArray, interval_s: float, P: FloatArray, cn0_hz: f
     if _is_wide(P, prompts.size * interval_s):
         _, frequency, rate, _ = find_chirp(prompts, interval_s, _WIDEST_HZPS)
     for _ in range(_CLIMBS):
-        frequency, rate = climbed(prompts, interval_s, frequency, rate)
+        frequency, _ = climbed(prompts, interval_s, frequency, rate)
     line = complex((prompts * turns(prompts.size, interval_s, frequency, rate)).sum())
     cn0_hz = max(min(cn0_hz, _strength_hz(prompts, interval_s, abs(line))), _LEAST_CN0_HZ)
     R = measurement_covariance(cn0_hz, prompts.size, interval_s, 3)
     if _tells_rate(P, R):
+        for _ in range(_CLIMBS):
+            frequency, rate = climbed(prompts, interval_s, frequency, rate)
+        line = complex((prompts * turns(prompts.size, interval_s, frequency, rate)).sum())
         return Measured(np.array([cmath.phase(line) / _TURN, frequency, rate]), R, cn0_hz)
     line = complex((prompts * turns(prompts.size, interval_s, frequency, 0.0)).sum())
     R = measurement_covariance(cn0_hz, prompts.size, interval_s, 2)
