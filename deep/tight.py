@@ -16,8 +16,10 @@ from deepgnss.receiver.measured import ranges_from
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.receiver import Fix
 
-CLOCK_NOISE = ClockNoise(bias_m_rts=0.5, drift_mps_rts=0.3)
-"""A TCXO (0.2 m/s in a second) under a receiver that steers it by some cm/s."""
+CLOCK_NOISE = ClockNoise(bias_m_rts=2.0, drift_mps_rts=0.3)
+"""A TCXO (0.2 m/s in a second) under a receiver that steers it: by some cm/s, and by 2 m/s where
+reflections or four satellites in one direction make its positions. Followed too slowly, what all
+ranges have in common passes for a navigation that contradicts them."""
 
 _CLOCK_M = 100.0
 _DRIFT_MPS = 3.0
