@@ -254,10 +254,9 @@ class Bank:
             if channel.half_cycle is not None and not channel.unproven:
                 continue
             decoded = self._known.get(channel.satellite)
-            if decoded is not None:
-                half_cycle = framing.polarity(channel, decoded)
-                if half_cycle is not None:
-                    channel.set_polarity(half_cycle)
+            half_cycle = framing.polarity(channel, decoded) if decoded is not None else None
+            if half_cycle is not None:
+                channel.set_polarity(half_cycle)
             elif channel.known is not None and channel.mode is Mode.PHASE:
                 half_cycle = framing.polarity(channel, channel.known, _FORETOLD_SYMBOLS)
                 if half_cycle is not None and half_cycle != channel.half_cycle:

@@ -607,11 +607,15 @@ class Channel:
         self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
 
     def _forget_phase(self) -> None:
-        """Phase continues with an unknown number of cycles and an unknown polarity."""
+        """Phase continues with an unknown number of cycles and an unknown polarity.
+
+        The symbols before tell nothing of it any more.
+        """
         self.slips += 1
         self.half_cycle = None
         self.phase_valid = self.unproven = False
         self._open.drop_phase()
+        self._restart_symbols()
 
     def _go(self, mode: Mode, reason: str) -> None:
         if mode not in TRANSITIONS[self.mode]:

@@ -130,3 +130,35 @@ def test_symbols_of_another_message_settle_nothing() -> None:
     bank.foretell_symbols()
     bank.take_known_polarities()
     assert channel.half_cycle is None
+
+
+@pytest.mark.parametrize("inverted", [0, 1])
+def test_symbols_before_a_phase_was_lost_tell_nothing_of_the_next(inverted: int) -> None:
+    """Decoded by an earlier pass: the new phase waits for symbols of its own, or for foretold ones.
+
+    The loop may come back on the other half cycle.
+    """
+    settings, size = TrackingSettings(), GPS_L1CA_SIGNAL.symbol_periods
+    heard = _bits(GPS_L1CA_SIGNAL, "G05", 0.0, 50.0)
+    decoded = KnownSymbols(_period(0.0), heard.tobytes())
+    bank = Bank(
+        GPS_L1CA_SIGNAL, 4e6, settings, AcquisitionSettings(), SearchSettings(), {"G05": decoded}
+    )
+    channel = Channel(
+        GPS_L1CA_SIGNAL, 5, settings, sample_rate_hz=4e6, sample=0, code_chips=0.0, doppler_hz=0.0
+    )
+    bank.channels[5], bank._sent[5] = channel, _heard(GPS_L1CA_SIGNAL, "G05", 0.0, 50.0)
+    channel.known, channel.edge = decoded, 0
+    channel.mode, channel.anchor, channel.periods = Mode.PHASE, _period(0.0), heard.size * size
+    channel._stream.resume(bytearray(heard.tobytes()), 0)
+    bank.take_known_polarities()
+    assert channel.half_cycle == 0.0
+    channel._go(Mode.HOLD, "gone")
+    bank.take_known_polarities()
+    assert channel.half_cycle is None
+    channel.mode, channel.periods = Mode.PHASE, 64 * 1000
+    back = _bits(GPS_L1CA_SIGNAL, "G05", 63.0, 1.0) ^ inverted
+    channel._stream.resume(bytearray(back.tobytes()), 63 * 1000)
+    bank.foretell_symbols()
+    bank.take_known_polarities()
+    assert channel.half_cycle == 0.5 * inverted
