@@ -8,7 +8,7 @@ PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3.14 python3 p
 	$$p -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
 	&& echo $$p && break; done)
 
-.PHONY: help demo test check lint types floors bench bench-peers sim-peers docs clean
+.PHONY: help demo test test-receiver test-others test-kernels check lint types floors bench bench-peers sim-peers docs clean
 
 help:
 	@echo "make demo   simulate 90 s through a city, process them with and without aiding: demo/out"
@@ -30,13 +30,21 @@ demo: $(STAMP)
 	$(BIN)/deepgnss simulate urban_short --output demo
 	$(BIN)/deepgnss process demo/rec_L1.bin --config demo/config.yaml --both
 
-# Kernels run as plain Python, then with every index checked (a cache of their own: numba does not
-# tell such code from the usual one), then everything as it is used.
+# Two test runs side by side, a half of the folders each; kernels also run as plain Python and with
+# every index checked (a cache of their own: numba does not tell such code from the usual one).
 test: $(STAMP)
+	+$(MAKE) --jobs=2 --keep-going --output-sync=target test-receiver test-others test-kernels
+
+test-receiver: $(STAMP)
+	$(BIN)/pytest -m "not slow" tests/receiver tests/ins tests/core
+
+test-others: $(STAMP)
+	$(BIN)/pytest -m "not slow" --ignore tests/receiver --ignore tests/ins --ignore tests/core
+
+test-kernels: $(STAMP)
 	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q -m "kernel and not slow"
 	NUMBA_BOUNDSCHECK=1 XDG_CACHE_HOME=$(CURDIR)/$(VENV)/bounds-checked \
 		$(BIN)/pytest -q -m "kernel and not slow"
-	$(BIN)/pytest -m "not slow"
 
 check: lint types floors
 

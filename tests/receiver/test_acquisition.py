@@ -225,7 +225,7 @@ def test_kernel_twin() -> None:
 
 
 def test_cost() -> None:
-    """Cold search of 32 PRNs within 1.5 s, a predicted one within some ms, on a free core."""
+    """Cold search of 32 PRNs within 1.5 s of CPU time, a predicted one within some ms."""
     rng = np.random.default_rng(11)
     sums = running_sums(sky(info(4.0e6), [Sent(1, 500.0, 3.0, 45.0)], 0.0201, rng), CARRIER_HZ)
     settings, window = AcquisitionSettings(), SearchWindow(500.0, 100.0, 3.0, 10.0)
@@ -237,7 +237,7 @@ def test_cost() -> None:
 def _best_of(times: int, work: Callable[[], object]) -> float:
     taken = []
     for _ in range(times):
-        began = time.perf_counter()
+        began = time.thread_time()
         work()
-        taken.append(time.perf_counter() - began)
+        taken.append(time.thread_time() - began)
     return min(taken)
