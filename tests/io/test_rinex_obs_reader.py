@@ -1,4 +1,3 @@
-import time
 import warnings
 from pathlib import Path
 
@@ -6,6 +5,7 @@ import georinex
 import numpy as np
 import pytest
 from run_samples import NOON, epoch, observation
+from yardstick import cost
 
 from deepgnss.core.errors import InputFileError
 from deepgnss.core.records import GPS_L1CA
@@ -81,6 +81,7 @@ def test_hatanaka_and_gzip(shared_data: Path) -> None:
 
 
 def test_twenty_thousand_lines_within_a_second(tmp_path: Path) -> None:
+    """Rather in a tenth: the limit is 20 units of some 11 ms."""
     names = [f"G{prn:02d}" for prn in range(1, 11)]
     with RinexObsWriter(tmp_path, ObsHeader([GPS_L1CA], 1.0, 1900.0)) as writer:
         for k in range(1900):
@@ -89,9 +90,9 @@ def test_twenty_thousand_lines_within_a_second(tmp_path: Path) -> None:
             )
     assert writer.path is not None
     assert len(writer.path.read_text().splitlines()) > 20_000
-    start = time.process_time()
-    frame = read_obs(writer.path).frame
-    assert time.process_time() - start < 1.0
+    path = writer.path
+    assert cost(lambda: read_obs(path), 2) < 20.0
+    frame = read_obs(path).frame
     assert frame["C1C"].to_numpy().reshape(1900, 10)[:, 3].tolist() == [
         2e7 + k for k in range(1900)
     ]
