@@ -2,14 +2,15 @@
 
 A step runs over one interval of whole code periods and reads like the block diagram: generate,
 correlate, discriminate, filter, command, lock, decide. What it decides by is in `decisions`, its
-code loop in `code_loop`, what it does without phase lock in `hearing` and `windows`. Carrier phase
-runs at +Doppler here; the observables turn its sign (see `observables`).
+code loop in `code_loop`, what it does without phase lock in `hearing` and `windows`, without its
+signal in `coasting`. Carrier phase runs at +Doppler here; the observables turn its sign (see
+`observables`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -24,11 +25,14 @@ from deepgnss.core.records import (
 )
 from deepgnss.receiver.baseband import Correlator, correlate
 from deepgnss.receiver.carrier_tracking import CarrierTracking
+from deepgnss.receiver.coasting import Began, Coasting
 from deepgnss.receiver.code_loop import CodeLoop
 from deepgnss.receiver.decisions import Go, Locked, Shift, decide
 from deepgnss.receiver.frequency_tracking import tone_sigma_hz
+from deepgnss.receiver.generators import Generators, Run
 from deepgnss.receiver.hearing import Hearing
-from deepgnss.receiver.interval import NOTHING_HEARD, Heard, Interval, led_on, of_arc, turned
+from deepgnss.receiver.intake import Intake
+from deepgnss.receiver.interval import NOTHING_HEARD, Heard, Interval, of_arc
 from deepgnss.receiver.known_symbols import KnownSymbols, signs
 from deepgnss.receiver.leading import Leading
 from deepgnss.receiver.locks import (
@@ -43,35 +47,27 @@ from deepgnss.receiver.locks import (
     update_powers,
 )
 from deepgnss.receiver.modes import (
-    NO_AIDING,
     TRANSITIONS,
-    AidingRate,
     AidingSource,
     Coast,
     Mode,
     TrackingSettings,
     unaided,
 )
-from deepgnss.receiver.open_loop import OpenLoop
 from deepgnss.receiver.signals import Signal, code_runs, neighbour_correlation
 from deepgnss.receiver.symbol_stream import SymbolStream
 from deepgnss.receiver.trackers import (
     NO_CORRECTION,
     Accumulated,
     Correction,
-    NcoState,
     accumulate,
-    advance,
-    corrected,
     pieces,
     straightened,
 )
 from deepgnss.receiver.windows import Windows
 
 _FOUND_AGAIN_S = 0.3  # after a gap: twice the time of a frequency loop
-_FAR_OFF_HZ = 10.0  # a signal's return: a frequency loop would take its time
 _PULLED_IN = 5.0  # over a phase loop's bandwidth: when its frequency is one
-_HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
 
 
 class Channel:
@@ -112,19 +108,18 @@ class Channel:
         self._runs = code_runs(signal.id.name, prn)
         half = settings.spacing_chips / 2.0
         self.taps_chips: FloatArray = np.array([half, 0.0, -half])
-        self._rate = sample_rate_hz
-        self._sample_chips = signal.id.chip_rate_hz / sample_rate_hz
-        self._length = float(signal.id.code_chips)
-        self._margin = 4 + int(2.0 * settings.spacing_chips / self._sample_chips)
         self._carriers = CarrierTracking(signal, settings)
         longest = self._carriers.longest
-        self._history = int(_HISTORY_UPDATES * longest * signal.period_s * sample_rate_hz)
+        self._nco = Generators(signal, sample_rate_hz, longest, sample, code_chips, doppler_hz)
+        sample_chips = signal.id.chip_rate_hz / sample_rate_hz
+        self._margin = 4 + int(2.0 * settings.spacing_chips / sample_chips)
         self._coded = bool(signal.secondary_code)
         self._stream = SymbolStream(signal, longest)
         self._hearing = Hearing(signal, self._carriers.remembered_s)
         self.windows = Windows(signal, settings)
         self._leading = Leading(sample_rate_hz)
-        self._open = OpenLoop(signal, sample_rate_hz, settings.open_loop_phase_sigma_cycles)
+        limit_cycles = settings.open_loop_phase_sigma_cycles
+        self._open = Coasting(signal, self._nco, self._leading, limit_cycles)
         self.unproven = False  # the polarity was carried through an open loop
         self._since = sample  # sample of the last change of mode
         self._phase_since = sample
@@ -136,35 +131,21 @@ class Channel:
 
         self._code_loop = CodeLoop(
             settings,
-            self._sample_chips,
+            sample_chips,
             neighbour_correlation(signal.id.name, prn),
             sample_rate_hz,
             self.windows.seconds,
         )
         self._code_loop.restart(sample, settings.pull_in_s)
-        self.periods = 0
-        self._carrier = NcoState(0.0, doppler_hz, 0.0)
-        self._code_offset_hz = 0.0
-        # The first period starts at the next code epoch after the given sample.
-        chip_rate = signal.id.chip_rate_hz * (1.0 + doppler_hz / signal.id.carrier_hz)
-        wait_s = (self._length - code_chips % self._length) / chip_rate
-        start = sample + int(wait_s * sample_rate_hz)
-        chips = ((start - sample) / sample_rate_hz - wait_s) * chip_rate
-        self.command = self._command(start, chips)
-        self.history: list[Interval] = [self._interval()]
-        self._taken: ComplexArray  # correlations of the interval under way: …
-        self.filled: int  # … as many of its code periods are in, …
-        self._planned: int  # … of so many until the next command, …
-        self._begun: int  # … and as many came before the present one
-        self._commands: int  # … of so many
+        self._intake = Intake(self.taps_chips.size)
+        self._nco.history.append(self._interval())
         self._plan()
 
     # --- the step ----------------------------------------------------------------------------
 
     def begin_epoch(self) -> None:
         """Forget what the epoch before has told, but the commands observables still need."""
-        oldest = self.command.sample - self._history
-        self.history = [i for i in self.history if i.command.sample >= oldest]
+        self._nco.forget_old()
         self.events = []
         self.recorded = []
 
@@ -184,46 +165,43 @@ class Channel:
 
     def due(self, end: int) -> int:
         """Code periods under the present command that are there before a sample but not taken."""
-        command = self.command
-        there_s = (end - self._margin - command.sample) / self._rate
-        chips = command.code_chips + there_s * (command.code_hz + 0.5 * there_s * command.code_hzps)
-        return min(int(chips // self._length) + self._begun, self._planned) - self.filled
+        intake = self._intake
+        there = self._nco.reached(end - self._margin) + intake.begun
+        return min(there, intake.planned) - intake.filled
 
     @property
     def skip(self) -> int:
         """Code periods taken under the present command."""
-        return self.filled - self._begun
+        return self._intake.skip
 
     def take(self, correlations: ComplexArray) -> None:
         """Take the next code periods of the interval under way, (periods, taps)."""
-        filled = self.filled + correlations.shape[0]
-        self._taken[self.filled : filled] = correlations
-        self.filled = filled
+        self._intake.take(correlations)
 
     @property
     def complete(self) -> bool:
         """Whether the present command is over."""
-        return self.filled == self._planned
+        return self._intake.command_over
 
     def conclude(self, aiding: AidingSource) -> None:
         """Command, and at an interval's end detect and decide; the next one begins."""
-        begun = self.command, self._carrier, self._aiding, self.periods
+        began = self._open.now()
         middle_s, end_s = self._times()
-        if self.filled < self._taken.shape[0]:
+        if not self._intake.over:
             self._move_on(NO_CORRECTION, NO_CORRECTION, middle_s, end_s, aiding)
-            self._remember(*begun)
-            self.history.append(self._interval())
-            self._go_on()
+            self._remember(began)
+            self._nco.history.append(self._interval())
+            self._intake.go_on(self._most)
             return
         seen = self._accumulate()
         self._steer(seen, middle_s, end_s, aiding)
         fell = self._detect(seen)
         self._collect_symbols(seen)
         if self.phase_valid and fell:
-            self._revise(lambda interval: interval._replace(phase_valid=False))
-        self._remember(*begun)
+            self._nco.revise(self._intake.commands, lambda one: one._replace(phase_valid=False))
+        self._remember(began)
         self._decide(seen)
-        self.history.append(self._interval())
+        self._nco.history.append(self._interval())
         self._plan()
 
     def _plan(self) -> None:
@@ -233,43 +211,29 @@ class Channel:
             to_edge = (self.edge - self.periods) % self.signal.symbol_periods
             periods = to_edge % self._full or self._full
         self._coherent = self.edge is not None
-        self._taken = np.empty((periods, self.taps_chips.size), dtype=np.complex128)
-        self.filled = self._planned = self._commands = 0
-        self._go_on()
+        self._intake.begin(periods, self._most)
 
-    def _go_on(self) -> None:
-        """To the next command of an interval: aided, there is one for every update."""
-        self._begun, periods = self._planned, self._taken.shape[0]
-        most = self.signal.update_periods if self.aided else periods
-        self._planned = min(periods, self._begun + most)
-        self._commands += 1
+    @property
+    def _most(self) -> int:
+        """Code periods of a command: aided, there is one for every update."""
+        return self.signal.update_periods if self.aided else self._full
 
     def _times(self) -> tuple[float, float]:
         """The interval's middle and the command's end, s after the command's sample."""
-        command, whole = self.command, self._taken.shape[0]
-
-        def reach(chips: float) -> float:
-            t = (chips - command.code_chips) / command.code_hz
-            return (chips - command.code_chips) / (command.code_hz + 0.5 * command.code_hzps * t)
-
+        intake = self._intake
         return (
-            reach((0.5 * whole - self._begun) * self._length),
-            reach((self._planned - self._begun) * self._length),
+            self._nco.until_s(0.5 * intake.whole - intake.begun),
+            self._nco.until_s(intake.planned - intake.begun),
         )
 
-    def _revise(self, change: Callable[[Interval], Interval]) -> None:
-        """Change what is remembered of the interval just over, command by command."""
-        first = len(self.history) - self._commands
-        self.history[first:] = [change(interval) for interval in self.history[first:]]
-
     def _accumulate(self) -> Accumulated:
-        period_s = self.signal.period_s
+        period_s, intake = self.signal.period_s, self._intake
         if self.settings.record_correlations:
-            first = self.history[-self._commands].command
-            self.recorded.append(Correlations(first.sample, period_s, self._taken))
-        taps, coherent = self._taken, self._coherent
+            first = self.history[-intake.commands].command
+            self.recorded.append(Correlations(first.sample, period_s, intake.taken))
+        taps, coherent = intake.taken, self._coherent
         if coherent and self.edge is not None:
-            first_period = self.periods - self._begun
+            first_period = self.periods - intake.begun
             taps = self._stream.stripped(taps, first_period, self.edge, self._signs)
         cn0_hz = 10.0 ** (0.1 * self.cn0_dbhz)
         return accumulate(taps, period_s, coherent, self._coded and not coherent, cn0_hz)
@@ -302,12 +266,12 @@ class Channel:
         here = self.command.sample
 
         def put_right(interval: Interval) -> Interval:
-            later_s = (here - interval.command.sample) / self._rate
+            later_s = (here - interval.command.sample) / self._nco.rate_hz
             return interval._replace(
                 correction=carrier, middle_s=middle_s + later_s, window=self._heard
             )
 
-        self._revise(put_right)
+        self._nco.revise(self._intake.commands, put_right)
         count = seen.periods.shape[0]
         share = (
             0.3
@@ -328,46 +292,27 @@ class Channel:
         foreseen: Correction = NO_CORRECTION,
     ) -> None:
         """Give the next command: corrections count in the middle, what is foreseen at the end."""
-        command = self.command
-        whole = int(end_s * self._rate)
-        elapsed_s = whole / self._rate
-        before = advance(self._carrier, elapsed_s)
-        after = corrected(before, carrier, elapsed_s - middle_s)
-        after = corrected(after, foreseen, elapsed_s - end_s)
-        shift_chips = code.phase + code.frequency * (elapsed_s - middle_s)
-        self._learn(
-            after.phase - self._carrier.phase,
-            shift_chips + self._code_offset_hz * elapsed_s,
-            elapsed_s,
-        )
+        run = self._nco.run(carrier, code, foreseen, middle_s, end_s)
+        self._learn(run)
+        here = self.command.sample
         own_rate = self._carriers.has_own_rate(self.mode)
-        self._carrier = self._leading.lead(
-            after, aiding, command.sample, whole, self.mode, own_rate=own_rate
+        led = self._leading.lead(
+            run.carrier, aiding, here, run.samples, self.mode, own_rate=own_rate
         )
-        if self._code_loop.narrow(command.sample):  # a wide loop's noisy rate must not live on
-            self._code_offset_hz = 0.0
-            shift_chips, code = code.phase, code._replace(frequency=0.0)
-        self._code_offset_hz += code.frequency
-        chips = (
-            advance(NcoState(command.code_chips, command.code_hz, command.code_hzps), elapsed_s)[0]
-            - self.skip * self._length
-            + shift_chips
-            + (after.phase - before.phase) / self.signal.carrier_to_code
-        )
-        self.periods += self.skip
-        self.command = self._command(command.sample + whole, chips)
+        if self._code_loop.narrow(here):  # a wide loop's noisy rate must not live on
+            self._nco.code_offset_hz = 0.0
+            code = code._replace(frequency=0.0)
+            run = run._replace(shifted_chips=code.phase)
+        self._nco.go_on(run, led, code, self.skip)
 
-    def _command(self, sample: int, code_chips: float) -> NcoCommand:
-        carrier, to_code = self._carrier, self.signal.carrier_to_code
-        return NcoCommand(
-            sample,
-            carrier.phase,
-            carrier.frequency,
-            carrier.rate,
-            code_chips,
-            self.signal.id.chip_rate_hz + carrier.frequency / to_code + self._code_offset_hz,
-            carrier.rate / to_code,
-        )
+    def _learn(self, run: Run) -> None:
+        """See what a command of the loops did beyond what was predicted of it."""
+        self._open.saw(run)
+        pulled_in_s = _PULLED_IN / self._carriers.settled.bandwidth_hz
+        if self.mode is Mode.PHASE and self.phase_valid and self.seconds_in_mode > pulled_in_s:
+            self._open.learn_phase(run)
+        elif self.mode is Mode.WEAK:
+            self._open.learn_frequency(run)
 
     # --- parts of the moment -----------------------------------------------------------------
 
@@ -375,12 +320,8 @@ class Channel:
     def _full(self) -> int:
         return self._carriers.periods(self.mode)
 
-    @property
-    def _aiding(self) -> AidingRate:
-        return self._leading.now
-
     def _seconds_since(self, sample: int) -> float:
-        return (self.command.sample - sample) / self._rate
+        return self._nco.seconds_since(sample)
 
     # --- frequency tracking --------------------------------------------------------------------
 
@@ -390,7 +331,7 @@ class Channel:
         if count % size:  # up to the first symbol edge
             return None
         return self.windows.add(
-            seen.periods if count == size else self._taken,
+            seen.periods if count == size else self._intake.taken,
             self.periods + count,
             self.locks.noise,
             self.command.carrier_hz - self._leading.led_hz,
@@ -405,91 +346,40 @@ class Channel:
 
     # --- open loop -----------------------------------------------------------------------------
 
-    def _learn(self, turned_cycles: float, shifted_chips: float, elapsed_s: float) -> None:
-        """See what an interval of the loops did beyond what was predicted of it."""
-        if not self.aided:
-            return
-        pulled_in_s = _PULLED_IN / self._carriers.settled.bandwidth_hz
-        self._open.saw(turned_cycles, shifted_chips, self._aiding, elapsed_s)
-        if self.mode is Mode.PHASE and self.phase_valid and self.seconds_in_mode > pulled_in_s:
-            self._open.learn_phase(turned_cycles, self._aiding, elapsed_s)
-        elif self.mode is Mode.WEAK:
-            self._open.learn_frequency(self._carrier.frequency, self._aiding, elapsed_s)
-
-    def _remember(
-        self, command: NcoCommand, carrier: NcoState, aid: AidingRate, periods: int
-    ) -> None:
-        """Keep a command whose interval is over, for the case that its signal is just falling."""
-        if aid == NO_AIDING or not self.aided:
-            self._open.forget()
-        else:
-            chips = periods * self._length + command.code_chips
-            power = self.locks.recent[-1] if self.locks.recent else 0.0
-            self._open.remember(command.sample, carrier, chips, aid, power)
-        if self.mode is Mode.HOLD and self._open.carried and not self._vouched_for(2.0):
+    def _remember(self, began: Began) -> None:
+        """Keep a command whose interval is over; a phase nobody vouches for any more is let go."""
+        self._open.remember(began, self.locks.recent[-1] if self.locks.recent else 0.0)
+        if self.mode is Mode.HOLD and self._open.carried and not self._open.vouched_for(2.0):
             self._forget_phase()
-        self._tell(self._open.judged(self.command.sample))
-
-    def _vouched_for(self, share: float) -> bool:
-        return self.aided and self._open.vouched(self.command.sample, share)
+        self._tell(self._open.judged())
 
     @property
     def wide_cn0_dbhz(self) -> float:
         """C/N0 in open loop by quarters of symbols: of a signal far off in frequency."""
         return strength_dbhz(
-            self._open.wide_signal(self.locks.noise), self.locks.noise, self.signal.period_s
+            self._open.loop.wide_signal(self.locks.noise), self.locks.noise, self.signal.period_s
         )
 
     @property
     def phase_kept(self) -> bool:
         """Whether a phase carried through an open loop is right to the half cycle, or the whole."""
-        return self._vouched_for(1.0) or (self._vouched_for(2.0) and self._held_signs() is not None)
-
-    def _held_signs(self) -> list[FloatArray] | None:
-        """Signs of the last symbols of an open loop as they shall be seen; None if not known."""
-        if self.half_cycle is None:
-            return None
-        upright = -1.0 if self.half_cycle else 1.0
-        found = []
-        for first, sums in self._open.symbols:
-            told = self._known_signs(first, sums.size)
-            if told is None:
-                return None
-            found.append(upright * told)
-        return found
+        return self._open.kept(self.half_cycle, self._known_signs)
 
     def _begin_open_loop(self) -> str:
         """Go back to before the signal fell, and on from there by aiding alone."""
-        here, power = self.command.sample, self.locks.signal
         if not self.aided:
             return ""
-        phase_since = self._phase_since if self.phase_valid else None
-        self._tell(self._open.fallen())
-        led = self._open.begin(
-            here, self._aiding, None if self.mode is Mode.WEAK else power, phase_since
-        )
-        if not led:
-            return ""
-        self._carrier = led[-1].carrier
-        self._code_offset_hz = 0.0
-        self.command = self._command(here, led[-1].chips - self.periods * self._length)
-        carried = self._vouched_for(2.0)
-        self.history = led_on(self.history, led[:-1], self._length, phase=carried)
-        phase = "" if carried else "out"
-        return (
-            f"; from {self._seconds_since(led[0].sample):.2f} s before open loop with{phase} phase"
+        self._tell(self._open.loop.fallen())
+        return self._open.begin(
+            None if self.mode is Mode.WEAK else self.locks.signal,
+            self._phase_since if self.phase_valid else None,
         )
 
     def _end_open_loop(self, mode: Mode) -> None:
-        """The signal is back; a phase carried on is turned to what its first symbols show."""
-        off_hz = self._open.off_hz
-        if mode is Mode.FREQUENCY and abs(off_hz) > _FAR_OFF_HZ:
-            self._carrier = self._carrier._replace(frequency=self._carrier.frequency + off_hz)
-        self._open.end(self.command.sample, self._carrier.frequency, self._aiding)
+        """The signal is back."""
+        self._open.end(mode, self.half_cycle, self._known_signs)
         self._returned = self.command.sample
         if mode is Mode.PHASE:
-            turn = self._open.seen_cycles(self._held_signs())
-            self._carrier = self._carrier._replace(phase=self._carrier.phase + turn)
             self.unproven = self.half_cycle is not None
             self._restart_symbols()
 
@@ -513,7 +403,7 @@ class Channel:
                 self._take_power(piece)
                 fell |= dark(self.locks, self.signal.period_s)
         if self.mode is Mode.HOLD and self.edge is not None:
-            self._open.collect(self._taken[:, 1], self.periods)
+            self._open.loop.collect(self._intake.taken[:, 1], self.periods)
         if self.mode in (Mode.FREQUENCY, Mode.WEAK):
             self._hear()
         return fell or (symbol is None and dark(self.locks, self.signal.period_s))
@@ -537,8 +427,8 @@ class Channel:
 
     def _hear(self) -> None:
         """Without phase lock: find the symbols' edges."""
-        prompts = self._taken[:, 1]
-        intervals = self.history[-self._commands :]
+        prompts = self._intake.taken[:, 1]
+        intervals = self.history[-self._intake.commands :]
         ends = [interval.periods for interval in intervals[1:]]
         first = intervals[0].periods
         for interval, end in zip(intervals, [*ends, self.periods], strict=True):
@@ -555,20 +445,20 @@ class Channel:
         """Make known that a symbol starts at a code period of this channel's count."""
         self.edge = period % self.signal.symbol_periods
         self._note("bit sync", reason)
-        if self.filled == 0:
+        if self._intake.filled == 0:
             self._plan()
 
     def _look_back(self, edge: int) -> None:
         """Hand the phase of what was heard without phase lock to the phase loop."""
-        own = self._carriers.finds_rate(self.mode)
-        rate_hzps = self._carrier.rate if own else self._aiding.rate_hzps
-        seen = self._hearing.look_back(edge, self._carrier, rate_hzps)
+        nco, own = self._nco, self._carriers.finds_rate(self.mode)
+        rate_hzps = nco.carrier.rate if own else self._leading.now.rate_hzps
+        seen = self._hearing.look_back(edge, nco.carrier, rate_hzps)
         self._stream.look_back(seen)
-        self._carrier = seen.carrier
+        nco.change(carrier=seen.carrier)
 
     def _collect_symbols(self, seen: Accumulated) -> None:
         if self.mode is Mode.PHASE and self.edge is not None:
-            self._stream.decide(self._taken, seen, self.periods, self.edge)
+            self._stream.decide(self._intake.taken, seen, self.periods, self.edge)
 
     def _decide(self, seen: Accumulated) -> None:
         match decide(self, seen.period_s):
@@ -578,30 +468,25 @@ class Channel:
                 self._leave_false_lock(off_hz)
             case Locked(reason):
                 self.phase_valid = True
-                if not self._open.locked():
+                if not self._open.loop.locked():
                     self._phase_since = self.command.sample
                 self._note("phase lock", reason)
 
     def _leave_false_lock(self, off_hz: float) -> None:
         self._forget_phase()
-        self._carrier = NcoState(
-            self._carrier.phase, self._carrier.frequency + off_hz, self._leading.rate_anew()
-        )
-        self.command = self._command(self.command.sample, self.command.code_chips)
+        self._nco.change(off_hz=off_hz, rate_hzps=self._leading.rate_anew())
         self.locks = restart_phase(self.locks)
         self._carriers.restart()
         self.windows.restart()
-        self._open.forget()
+        self._open.loop.forget()
         self._since = self.command.sample
         self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
 
     def _leave_alternating_lock(self) -> None:
         """Frequency lock blind to signs also holds ±1/2T off: go to the side acquisition saw."""
-        off_hz = math.copysign(
-            0.5 / self.signal.period_s, self._acquired_hz - self._carrier.frequency
-        )
-        self._carrier = self._carrier._replace(frequency=self._carrier.frequency + off_hz)
-        self.command = self._command(self.command.sample, self.command.code_chips)
+        missing_hz = self._acquired_hz - self._nco.carrier.frequency
+        off_hz = math.copysign(0.5 / self.signal.period_s, missing_hz)
+        self._nco.change(off_hz=off_hz)
         self._hearing.forget()
         self._hearing.restart_sync()
         self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
@@ -614,7 +499,7 @@ class Channel:
         self.slips += 1
         self.half_cycle = None
         self.phase_valid = self.unproven = False
-        self._open.drop_phase()
+        self._open.loop.drop_phase()
         self._restart_symbols()
 
     def _go(self, mode: Mode, reason: str) -> None:
@@ -624,7 +509,7 @@ class Channel:
             reason += self._begin_open_loop()
         if self.mode is Mode.HOLD:
             self._end_open_loop(mode)
-        keeps = {self.mode, mode} == {Mode.PHASE, Mode.HOLD} and self._vouched_for(2.0)
+        keeps = {self.mode, mode} == {Mode.PHASE, Mode.HOLD} and self._open.vouched_for(2.0)
         if self.mode in (Mode.PHASE, Mode.HOLD) and not keeps:
             self._forget_phase()
         self.phase_valid = False
@@ -634,8 +519,7 @@ class Channel:
             self.locks = restart_phase(self.locks)
             self._carriers.restart()
         elif not self._carriers.finds_rate(mode):  # a plain frequency loop keeps no rate of its own
-            self._carrier = self._carrier._replace(rate=self._leading.rate_anew())
-        self.command = self._command(self.command.sample, self.command.code_chips)
+            self._nco.change(rate_hzps=self._leading.rate_anew())
         if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
             self._hearing.forget()
         self.windows.restart()
@@ -679,7 +563,7 @@ class Channel:
         arc, self.half_cycle = self.slips, half_cycle
         if after != (before or 0.0):
             self.slips += 1
-        self.history = of_arc(self.history, arc, self.slips, half_cycle)
+        self._nco.history = of_arc(self.history, arc, self.slips, half_cycle)
 
     # --- told from outside -----------------------------------------------------------------------
 
@@ -709,7 +593,7 @@ class Channel:
         None: somebody looks after open loops, and has nothing to say of this channel.
         """
         coasts = move is not None and self.coasting  # else its loop sees for itself
-        self._open.look_after(self.command.sample, move if coasts else None)
+        self._open.look_after(move if coasts else None)
         if move is None or not coasts:
             return
         self._move(-move.cycles, code=True)
@@ -729,7 +613,7 @@ class Channel:
         if cycles is None or told:
             before, self.slips = self.slips, self.slips + 1
             self.half_cycle = self.half_cycle if cycles is not None else None
-            self.history = of_arc(self.history, before, self.slips, self.half_cycle)
+            self._nco.history = of_arc(self.history, before, self.slips, self.half_cycle)
         if cycles is None or cycles % 1.0:  # the symbols before it may be of the other sign
             self._restart_symbols()
 
@@ -738,16 +622,10 @@ class Channel:
 
         code: it is an open loop that is put right, and the code goes along.
         """
-        chips = cycles / self.signal.carrier_to_code if code else 0.0
-        self._carrier = self._carrier._replace(phase=self._carrier.phase + cycles)
-        self.command = turned(self.command, cycles, chips)
-        self._taken[: self.filled] *= np.exp(-2j * np.pi * math.fmod(cycles, 1.0))
-        self.history = [
-            i._replace(command=turned(i.command, cycles, chips)) if i.coasting or not code else i
-            for i in self.history
-        ]
+        chips = self._nco.move(cycles, code=code)
+        self._intake.turn(cycles)
         self._carriers.turn(cycles)
-        self._open.move(cycles, chips)
+        self._open.loop.move(cycles, chips)
 
     def _restart_symbols(self) -> None:
         """Begin a new stretch of symbols at the next edge."""
@@ -755,6 +633,26 @@ class Channel:
             self._stream.restart(self.periods, self.edge)
 
     # --- what others read --------------------------------------------------------------------
+
+    @property
+    def command(self) -> NcoCommand:
+        """What its generators do."""
+        return self._nco.command
+
+    @property
+    def periods(self) -> int:
+        """Code periods it had gone through when its command began."""
+        return self._nco.periods
+
+    @property
+    def history(self) -> list[Interval]:
+        """Its intervals, as far back as observables need them; the last one is under way."""
+        return self._nco.history
+
+    @property
+    def filled(self) -> int:
+        """Code periods of the interval under way that are in."""
+        return self._intake.filled
 
     @property
     def symbols(self) -> bytearray:
@@ -789,10 +687,7 @@ class Channel:
 
     def at(self, sample: int) -> Interval:
         """The interval that holds at a sample of the epoch just run."""
-        for interval in reversed(self.history):
-            if interval.command.sample <= sample:
-                return interval
-        return self.history[0]
+        return self._nco.at(sample)
 
     @property
     def cn0_dbhz(self) -> float:
@@ -818,8 +713,8 @@ class Channel:
             cn0_dbhz=self.cn0_dbhz,
             doppler_hz=self.command.carrier_hz,
             carrier_lock=self.locks.phase,
-            aiding_minus_loop_hz=self._aiding.frequency_hz
-            + self._aiding.clock_hz
+            aiding_minus_loop_hz=self._leading.now.frequency_hz
+            + self._leading.now.clock_hz
             - self.command.carrier_hz
             if self.aided
             else 0.0,

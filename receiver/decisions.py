@@ -71,10 +71,13 @@ class Tracked(Protocol):
     mode: Mode
     locks: LockState
     edge: int | None
-    periods: int
     frequency_error_hz: float
     phase_valid: bool
     windows: Windows
+
+    @property
+    def periods(self) -> int:
+        """Code periods it has gone through."""
 
     @property
     def seconds_in_mode(self) -> float:

@@ -1,0 +1,189 @@
+"""A channel's generators of carrier and code: their state, their commands, and what they were.
+
+The code runs along with the carrier; what its loop adds is an offset of the chip rate. A command
+begins within a code period, which is counted since the channel's start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from deepgnss.core.records import NcoCommand
+from deepgnss.receiver.interval import Interval, turned
+from deepgnss.receiver.signals import Signal
+from deepgnss.receiver.trackers import Correction, NcoState, advance, corrected
+
+_HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
+
+
+class Run(NamedTuple):
+    """What the generators did on a command, and what its correlations say of its end."""
+
+    samples: int
+    seconds: float
+    carrier: NcoState  # at the end, corrected
+    corrected_cycles: float  # of it, what the correction has added
+    turned_cycles: float  # since the command
+    shifted_chips: float  # correction of the code at the end
+
+
+class Generators:
+    """State and command of both generators, and the commands before."""
+
+    def __init__(
+        self,
+        signal: Signal,
+        sample_rate_hz: float,
+        longest_periods: int,
+        sample: int,
+        code_chips: float,
+        doppler_hz: float,
+    ) -> None:
+        """Start at the next code epoch after a sample with its code phase and Doppler.
+
+        longest_periods: code periods of the longest interval there will be.
+        """
+        self.rate_hz = sample_rate_hz
+        self.length = float(signal.id.code_chips)
+        self.carrier = NcoState(0.0, doppler_hz, 0.0)
+        self.code_offset_hz = 0.0
+        self.periods = 0  # that the channel had gone through when the command began
+        self.history: list[Interval] = []
+        self._chip_rate_hz = signal.id.chip_rate_hz
+        self._to_code = signal.carrier_to_code
+        self._kept = int(_HISTORY_UPDATES * longest_periods * signal.period_s * sample_rate_hz)
+        chip_rate = signal.id.chip_rate_hz * (1.0 + doppler_hz / signal.id.carrier_hz)
+        wait_s = (self.length - code_chips % self.length) / chip_rate
+        start = sample + int(wait_s * sample_rate_hz)
+        chips = ((start - sample) / sample_rate_hz - wait_s) * chip_rate
+        self.command = self._command(start, chips)
+
+    # --- a command's time --------------------------------------------------------------------
+
+    def reached(self, sample: int) -> int:
+        """Code periods that end before a sample, counted from that of the command on."""
+        command = self.command
+        there_s = (sample - command.sample) / self.rate_hz
+        chips = command.code_chips + there_s * (command.code_hz + 0.5 * there_s * command.code_hzps)
+        return int(chips // self.length)
+
+    def until_s(self, periods: float) -> float:
+        """Time after the command's sample until so many code periods are over."""
+        command = self.command
+        chips = periods * self.length - command.code_chips
+        t = chips / command.code_hz
+        return chips / (command.code_hz + 0.5 * command.code_hzps * t)
+
+    def seconds_since(self, sample: int) -> float:
+        """Time from a sample to the command's."""
+        return (self.command.sample - sample) / self.rate_hz
+
+    # --- on to the next command --------------------------------------------------------------
+
+    def run(
+        self,
+        carrier: Correction,
+        code: Correction,
+        foreseen: Correction,
+        middle_s: float,
+        end_s: float,
+    ) -> Run:
+        """Run to the last sample of a command with what was found to be lacking.
+
+        Corrections count in the middle, what is foreseen at the end.
+        """
+        whole = int(end_s * self.rate_hz)
+        elapsed_s = whole / self.rate_hz
+        before = advance(self.carrier, elapsed_s)
+        after = corrected(before, carrier, elapsed_s - middle_s)
+        after = corrected(after, foreseen, elapsed_s - end_s)
+        return Run(
+            whole,
+            elapsed_s,
+            after,
+            after.phase - before.phase,
+            after.phase - self.carrier.phase,
+            code.phase + code.frequency * (elapsed_s - middle_s),
+        )
+
+    def go_on(self, run: Run, carrier: NcoState, code: Correction, periods: int) -> None:
+        """Begin the next command.
+
+        carrier: at the run's end, led on; code: what it was corrected by; periods: that are over.
+        """
+        command = self.command
+        code_now = NcoState(command.code_chips, command.code_hz, command.code_hzps)
+        self.carrier = carrier
+        self.code_offset_hz += code.frequency
+        self.periods += periods
+        chips = (
+            advance(code_now, run.seconds).phase
+            - periods * self.length
+            + run.shifted_chips
+            + run.corrected_cycles / self._to_code
+        )
+        self.command = self._command(command.sample + run.samples, chips)
+
+    def _command(self, sample: int, code_chips: float) -> NcoCommand:
+        carrier, to_code = self.carrier, self._to_code
+        return NcoCommand(
+            sample,
+            carrier.phase,
+            carrier.frequency,
+            carrier.rate,
+            code_chips,
+            self._chip_rate_hz + carrier.frequency / to_code + self.code_offset_hz,
+            carrier.rate / to_code,
+        )
+
+    # --- put right -----------------------------------------------------------------------------
+
+    def change(
+        self,
+        *,
+        off_hz: float = 0.0,
+        rate_hzps: float | None = None,
+        carrier: NcoState | None = None,
+        code_chips: float | None = None,
+    ) -> None:
+        """Give the present command anew, with another carrier or code phase."""
+        one = self.carrier if carrier is None else carrier
+        self.carrier = NcoState(
+            one.phase, one.frequency + off_hz, one.rate if rate_hzps is None else rate_hzps
+        )
+        chips = self.command.code_chips if code_chips is None else code_chips
+        self.command = self._command(self.command.sample, chips)
+
+    def move(self, cycles: float, *, code: bool) -> float:
+        """Turn the carrier (+Doppler), also where it is not yet observed; chips the code moved.
+
+        code: it is an open loop that is put right, and the code goes along.
+        """
+        chips = cycles / self._to_code if code else 0.0
+        self.carrier = self.carrier._replace(phase=self.carrier.phase + cycles)
+        self.command = turned(self.command, cycles, chips)
+        self.history = [
+            i._replace(command=turned(i.command, cycles, chips)) if i.coasting or not code else i
+            for i in self.history
+        ]
+        return chips
+
+    # --- history -------------------------------------------------------------------------------
+
+    def forget_old(self) -> None:
+        """Keep but the commands that observables still need."""
+        oldest = self.command.sample - self._kept
+        self.history = [i for i in self.history if i.command.sample >= oldest]
+
+    def revise(self, commands: int, change: Callable[[Interval], Interval]) -> None:
+        """Change what is remembered of the last commands."""
+        first = len(self.history) - commands
+        self.history[first:] = [change(interval) for interval in self.history[first:]]
+
+    def at(self, sample: int) -> Interval:
+        """The interval that holds at a sample of the epoch just run."""
+        for interval in reversed(self.history):
+            if interval.command.sample <= sample:
+                return interval
+        return self.history[0]
