@@ -28,8 +28,9 @@ _REFLECTED: Final = ("G03", "G14", "G18", "G20")
 _BEGIN_S: Final = 5.0  # of the first ray: time is known by then
 _DWELL_S: Final = 2.0
 _SETTLING_S: Final = 1.0
-# Chips; those of the largest errors, and some for the shape.
-_QUICK_DELAYS: Final = (0.5, 0.75)
+# Chips; those of the largest errors (against the phase (1 − α)·D/2, in phase (1 + α)·D/2), and some
+# for the shape.
+_QUICK_DELAYS: Final = (0.25, 0.75)
 _DELAYS: Final = (
     *(0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85),
     *(0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.35, 1.5),

@@ -126,6 +126,17 @@ def test_loops_of_the_thesis_are_among_the_settings() -> None:
     assert wanted <= {loop[:3] for loop in code_noise.LOOPS}
 
 
+@pytest.mark.parametrize("spacing", multipath.SPACINGS)
+@pytest.mark.parametrize("phase", [0.0, 0.5])
+def test_the_short_row_has_the_delays_of_the_largest_errors(spacing: float, phase: float) -> None:
+    """Either way: they are not the same for a ray in phase and one against it."""
+    sizes = [
+        max(abs(multipath_error_chips(spacing, 0.5, delay, phase)) for delay in delays)
+        for delays in (multipath._QUICK_DELAYS, multipath._DELAYS)
+    ]
+    assert sizes[0] == pytest.approx(sizes[1], rel=0.01)
+
+
 def test_theory_through_a_wide_filter_is_near_that_of_the_triangle() -> None:
     curve = multipath._curve(FrontEnd(34.71e6, bandwidth_hz=32.0e6), 14)
     for spacing, delay in ((1.0, 0.5), (0.1, 0.5)):
