@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,6 +214,19 @@ class Observation:
     doppler_s: float = 0.0  # for which one measurement of it stands, carried on by aiding
 
 
+class Counter(NamedTuple):
+    """The sample counter against the tags, which solutions steer to GPST.
+
+    What is added to ranges (times c) and to their rates makes them those of the oscillator alone.
+    """
+
+    ahead_s: float  # counter − tag
+    drift_sps: float  # its rate; Dopplers are of tags that run so much slower
+
+
+UNSTEERED: Final = Counter(0.0, 0.0)
+
+
 @dataclass(frozen=True, slots=True)
 class Epoch:
     """All observations at one instant; `time` is the receiver's (steered) tag in GPST."""
@@ -221,6 +234,7 @@ class Epoch:
     time: GpsTime
     instant: SampleInstant
     observations: tuple[Observation, ...]
+    counter: Counter = UNSTEERED
 
 
 # --- navigation data -----------------------------------------------------------------------------

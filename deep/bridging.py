@@ -112,6 +112,12 @@ class Bridge:
         return None if self._filter is None else self._filter.drift_mps / SPEED_OF_LIGHT_MPS
 
     @property
+    def drift_mps(self) -> tuple[float, float] | None:
+        """The same times c, and its 1σ."""
+        known = self._filter
+        return None if known is None else (known.drift_mps, known.drift_sigma_mps)
+
+    @property
     def velocity_error_n_mps(self) -> FloatArray | None:
         """What the phases say of the navigation's velocity (NED), estimate − truth."""
         return None if self._filter is None else self._filter.velocity_error_n_mps

@@ -89,7 +89,6 @@ class CoupledNavigation:
         self._aider = aider
         self._bridge = bridge
         self._aided = False  # in the last step
-        self._model_drift_sps = 0.0  # of the receiver's clock model in the last step
         self._drift_sps = 0.0  # of its oscillator, as the last solution had it
         self._velocity_error_e_mps = np.zeros(3)  # of the navigation, as the phases had it
 
@@ -99,7 +98,6 @@ class CoupledNavigation:
         self._aided = False
         if clock is None:
             return NO_AIDS
-        self._model_drift_sps = clock.drift_sps
         if not (self.navigation.running and self.guard.trusted):
             return self._unaided()
         # The last command of the epoch goes beyond it: an update of increments must be waited for.
@@ -126,7 +124,9 @@ class CoupledNavigation:
         antenna = trajectory.antenna(trajectory.time_s[-1:], self._aider.lever_b_m)
         screen = None
         if self.screening is not None:
-            screen = self.screening.along(trajectory, self._aider.lever_b_m, receiver.nav)
+            screen = self.screening.along(
+                trajectory, self._aider.lever_b_m, receiver.nav, self._bridge.drift_mps
+            )
         self._aided = bool(profiles)
         return Aids(profiles, (antenna.r_e_m[0], antenna.v_e_mps[0]), screen)
 
@@ -146,7 +146,7 @@ class CoupledNavigation:
             found = self.navigation.take([fix], receiver.nav)
             states += found
             found_at += [(fix, state) for state in found]
-            bridged = self._bridged(receiver, fix, found[0] if found else None)
+            bridged = self._bridged(fix, found[0] if found else None)
             for slip in bridged.slips:
                 missing = None if slip.cycles is None else -slip.cycles
                 receiver.mend(slip.satellite, missing, slip.reason)
@@ -191,15 +191,15 @@ class CoupledNavigation:
             placed,
         )
 
-    def _bridged(self, receiver: Receiver, fix: Fix, state: NavigationState | None) -> Bridged:
+    def _bridged(self, fix: Fix, state: NavigationState | None) -> Bridged:
         """Hold a tag's phases against the way that led to it."""
-        solution, clock = fix.solution, receiver.clock
+        solution = fix.solution
         drift, drift_sigma = math.nan, math.nan
         if solution.valid and math.isfinite(solution.drift_sps):
-            self._drift_sps = drift = self._model_drift_sps + solution.drift_sps
+            self._drift_sps = drift = fix.epoch.counter.drift_sps + solution.drift_sps
             drift_sigma = float(np.sqrt(solution.velocity_covariance_m2ps2[3, 3]))
             drift_sigma /= SPEED_OF_LIGHT_MPS
-        if state is None or clock is None or not self.guard.trusted:
+        if state is None or not self.guard.trusted:
             self._velocity_error_e_mps = np.zeros(3)
             return self._bridge.stop(fix.coasting)
         if state.leg is None:
@@ -210,7 +210,7 @@ class CoupledNavigation:
         tag = Tag(
             fix.epoch.observations if there else (),
             fix.coasting if there else (),
-            -clock.lag_s(to_ns(fix.epoch.time), fix.epoch.instant),
+            fix.epoch.counter.ahead_s,
             (drift, drift_sigma),
             leg,
             estimate.P[vehicle, vehicle],
@@ -270,7 +270,7 @@ def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNaviga
     outliers, screening = config.positioning.outliers, None
     if outliers.enabled:
         own = ScreenSettings(outliers.alpha, outliers.threshold)
-        screening = Screening(plan.settings.pvt, own, plan.stream.sample_rate_hz)
+        screening = Screening(plan.settings.pvt, own)
     unit = Unit(
         inputs.grade,
         settings.lever_b_m,

@@ -19,7 +19,7 @@ from deepgnss.core.errors import NumericalError
 from deepgnss.core.frames import C_ne
 from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade, NavData
 from deepgnss.core.time import GpsTime
-from deepgnss.deep.tight import range_epoch
+from deepgnss.deep.tight import CounterLine, range_epoch
 from deepgnss.ins import (
     Alignment,
     AlignmentSettings,
@@ -110,6 +110,7 @@ class Navigation:
         self._fixes: list[GnssFix] = []
         self._placed: GpsTime | None = None  # last tag with a position, or ranges for the filter
         self._coupling: Coupling | None = None
+        self._line: CounterLine | None = None  # from the first tag with ranges after a start on
         self._not_before_s = -np.inf  # of an alignment, since the block's origin
         self._next_try_s = -np.inf
         self._reason = ""
@@ -198,8 +199,11 @@ class Navigation:
         inputs = self._inputs
         if inputs.ranging is None or nav is None or not fix.epoch.observations:
             return None
+        self._line = self._line or CounterLine(fix.epoch.time, fix.epoch.counter)
         together = lasting_together(LASTING_S, apart_s)
-        found = range_epoch(fix, nav, inputs.ranging, r_e_m, inputs.systems, LASTING_M, together)
+        found = range_epoch(
+            fix, nav, inputs.ranging, r_e_m, inputs.systems, self._line, LASTING_M, together
+        )
         self._placed = self._placed if found is None else fix.epoch.time
         return found
 
@@ -298,6 +302,7 @@ class Navigation:
             return
         self._coupling = Coupling(inputs.block, self._noise, inputs.settings)
         self._coupling.begin(found)
+        self._line = None
         self._reason = ""
         started_s = found.ins.time.since(origin)
         later = [f for f in fixes if f.time.since(origin) > started_s + SAME_INSTANT_S]

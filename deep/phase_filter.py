@@ -72,6 +72,11 @@ class PhaseFilter:
         return float(self._rates @ self.mean[: self._base])
 
     @property
+    def drift_sigma_mps(self) -> float:
+        """1σ of it."""
+        return math.sqrt(self._rates @ self.P[: self._base, : self._base] @ self._rates)
+
+    @property
     def velocity_error_n_mps(self) -> FloatArray:
         """(3,) NED."""
         return self.mean[self._errors][:3].copy()

@@ -6,7 +6,8 @@ the threshold leaves the position. T follows each satellite by itself; here a fi
 
     what a place that drifted does to all ranges by their directions (δ, ECEF, driven by the growth
     of the navigation's covariance),
-    what clock and time system do to all or to those of a system, and
+    what clock (whose drift the carrier phases tell) and time system do to all or to those of a
+    system, and
     what is a satellite's own: α a second, starting at 0 ± the error budget of its range,
 
 so that after a tunnel the others tell what a returning range should be, also where most of them
@@ -25,6 +26,8 @@ from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne, geodetic
 from deepgnss.core.records import Epoch, FloatArray, NavData
 from deepgnss.core.time import GpsTime
+from deepgnss.deep.tight import CLOCK_NOISE
+from deepgnss.ins.filter import correct
 from deepgnss.ins.trajectory import Trajectory
 from deepgnss.receiver.measured import NOBODY_REFUSED, Ranges, ranges_from
 from deepgnss.receiver.pvt import PvtParameters
@@ -40,8 +43,6 @@ _WIDENING = 3.0  # σ of the prediction by which the limit widens
 _RETURN = 0.5  # of the limit: a refused range is sound again below it
 _PATIENCE_S = 30.0  # refused for longer, a satellite's own slow value is forgotten …
 _LOST_S = 5.0  # … and all of it where the ranges disagree for so long
-_CLOCK_M_RTS = 0.1
-_CLOCK_MPS_RTS = 0.2  # a TCXO
 _UNKNOWN_M = 30.0  # of a clock set by the median of its ranges
 _UNKNOWN_MPS = 30.0
 _LEAST_M2 = 1e-8  # of growth, so that no direction is known exactly
@@ -116,7 +117,6 @@ class Screening:
 
     parameters: PvtParameters
     settings: ScreenSettings
-    rate_hz: float  # of the stream in whose samples epochs count
     flags: list[Flag] = field(default_factory=list)
     refused_tags: dict[str, int] = field(default_factory=dict)  # by satellite, all in all
     _names: list[str] = field(default_factory=list)  # of the states behind the fixed ones
@@ -125,12 +125,21 @@ class Screening:
     _time: GpsTime | None = None  # of the last tag; None: nothing is known
     _r_e_m: FloatArray = field(default_factory=lambda: np.zeros(3))  # navigated, not corrected
     _way: _Way | None = None
-    _origin: tuple[GpsTime, float] | None = None  # a tag and its sample
+    _ahead_s: float | None = None  # of the counter, at the first tag
     _agreed: GpsTime | None = None  # last tag at which ranges agreed
     _stretches: dict[str, _Stretch] = field(default_factory=dict)
 
-    def along(self, trajectory: Trajectory, lever_b_m: FloatArray, nav: NavData) -> Screen:
-        """The test of the tags that a stretch of navigation reaches."""
+    def along(
+        self,
+        trajectory: Trajectory,
+        lever_b_m: FloatArray,
+        nav: NavData,
+        drift: tuple[float, float] | None = None,
+    ) -> Screen:
+        """The test of the tags that a stretch of navigation reaches.
+
+        drift: of the counter and its 1σ, m/s, at the last tag; None: nobody knows it.
+        """
         way = self._way
         if way is None or not way.onto(trajectory):
             self.forget()
@@ -139,7 +148,7 @@ class Screening:
         def screen(epoch: Epoch) -> Mapping[str, str]:
             if not way.to(epoch.time.since(trajectory.origin)):
                 return NOBODY_REFUSED
-            return self._refused(epoch, nav, way)
+            return self._refused(epoch, nav, way, drift)
 
         return screen
 
@@ -155,7 +164,9 @@ class Screening:
                 self._end(self._time, satellite, "no navigation to hold it against")
         self._time = self._way = None
 
-    def _refused(self, epoch: Epoch, nav: NavData, way: _Way) -> Mapping[str, str]:
+    def _refused(
+        self, epoch: Epoch, nav: NavData, way: _Way, drift: tuple[float, float] | None
+    ) -> Mapping[str, str]:
         """Refused satellites of a tag, to which the way leads, and why."""
         first = self._time is None
         self._r_e_m = way.r_e_m if first else self._r_e_m + way.step_e_m
@@ -167,6 +178,8 @@ class Screening:
         misfit_m = seen.misfit_m + self._counter_m(epoch)
         if first:
             self._start(epoch, misfit_m, grown)
+        if drift is not None:
+            self._take_drift(*drift)
         passed_s = epoch.time.since(self._time) if self._time is not None else 0.0
         self._predict(passed_s, grown)
         self._time = epoch.time
@@ -188,10 +201,9 @@ class Screening:
 
     def _counter_m(self, epoch: Epoch) -> float:
         """How far the sample counter runs ahead of the tags: with it the clock has no steering."""
-        sample = epoch.instant.sample + epoch.instant.fraction
-        self._origin = self._origin or (epoch.time, sample)
-        time, first = self._origin
-        return SPEED_OF_LIGHT_MPS * ((sample - first) / self.rate_hz - epoch.time.since(time))
+        ahead_s = epoch.counter.ahead_s
+        self._ahead_s = ahead_s if self._ahead_s is None else self._ahead_s
+        return SPEED_OF_LIGHT_MPS * (ahead_s - self._ahead_s)
 
     def _start(self, epoch: Epoch, misfit_m: FloatArray, place: FloatArray) -> None:
         self._names = []
@@ -206,8 +218,8 @@ class Screening:
         self._x = F @ self._x
         P = F @ P @ F.T
         P[_PLACE, _PLACE] += grown
-        walk2 = _CLOCK_MPS_RTS**2
-        P[_BIAS, _BIAS] += _CLOCK_M_RTS**2 * passed_s + walk2 * passed_s**3 / 3.0
+        walk2 = CLOCK_NOISE.drift_mps_rts**2
+        P[_BIAS, _BIAS] += CLOCK_NOISE.bias_m_rts**2 * passed_s + walk2 * passed_s**3 / 3.0
         P[_BIAS, _DRIFT] += walk2 * passed_s**2 / 2.0
         P[_DRIFT, _BIAS] += walk2 * passed_s**2 / 2.0
         P[_DRIFT, _DRIFT] += walk2 * passed_s
@@ -216,6 +228,13 @@ class Screening:
         second_m2 = _SOUND_M**2 * 2.0 * _LASTING_S
         P[own, own] += self.settings.alpha_ps**2 * second_m2 * passed_s
         self._P = P
+
+    def _take_drift(self, drift_mps: float, sigma_mps: float) -> None:
+        """Believe who knows the counter's drift better than ranges tell it."""
+        H = np.zeros((1, self._x.size))
+        H[0, _DRIFT] = 1.0
+        R = np.array([[sigma_mps**2]])
+        self._x, self._P, _, _ = correct(self._x, self._P, np.array([drift_mps]), H, R)
 
     def _know(self, seen: Ranges, misfit_m: FloatArray) -> None:
         """States for whoever is new; the first system's clock is the receiver's."""

@@ -1,29 +1,48 @@
 """Tight coupling: the ranges of a tag as the filter takes them, however few there are.
 
-The clock the filter carries is that of the tags: solutions steer it to GPST, so that it starts
-near zero; what steering bends goes into its noise.
+The clock the filter carries is the sample counter's: an oscillator, which nobody bends. The tags'
+clock is steered by every solution, and by metres a second where reflections or four satellites in
+one direction make them; a filter that followed the tags would take what all ranges then have in
+common for a navigation that contradicts them. So that the clock starts near zero, the line on which
+the counter ran ahead of the tags when the filter began is taken off.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from deepgnss.core.records import FloatArray, NavData
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.records import Counter, Epoch, FloatArray, NavData
+from deepgnss.core.time import GpsTime
 from deepgnss.ins.ranging import ClockNoise, RangeEpoch, RangeObservation
 from deepgnss.receiver.measured import ranges_from
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.receiver import Fix
 
-CLOCK_NOISE = ClockNoise(bias_m_rts=2.0, drift_mps_rts=0.3)
-"""A TCXO (0.2 m/s in a second) under a receiver that steers it: by some cm/s, and by 2 m/s where
-reflections or four satellites in one direction make its positions. Followed too slowly, what all
-ranges have in common passes for a navigation that contradicts them."""
+CLOCK_NOISE = ClockNoise(bias_m_rts=0.1, drift_mps_rts=0.2)
+"""Of a TCXO's counter."""
 
 _CLOCK_M = 100.0
 _DRIFT_MPS = 3.0
 _BETWEEN_M = 300.0  # GPST and the clocks of other systems, hardware included
+
+
+class CounterLine(NamedTuple):
+    """The counter's lead on the tags as it would go on from a tag without any steering."""
+
+    time: GpsTime
+    counter: Counter
+
+    def off(self, epoch: Epoch) -> tuple[float, float]:
+        """Lead of the counter on this line, m, and its rate, m/s, at a later tag."""
+        ahead_s, drift_sps = self.counter
+        passed_s = epoch.time.since(self.time)
+        off_s = epoch.counter.ahead_s - ahead_s - drift_sps * passed_s
+        off_sps = epoch.counter.drift_sps - drift_sps
+        return SPEED_OF_LIGHT_MPS * off_s, SPEED_OF_LIGHT_MPS * off_sps
 
 
 def clock_sigmas(systems: Sequence[str]) -> FloatArray:
@@ -37,6 +56,7 @@ def range_epoch(
     parameters: PvtParameters,
     r_e_m: FloatArray,
     systems: Sequence[str],
+    line: CounterLine,
     lasting_m: float,
     together: float,
 ) -> RangeEpoch | None:
@@ -46,22 +66,23 @@ def range_epoch(
 
     Parameters
     ----------
-    r_e_m: (3,) roughly the antenna. systems: those the filter knows.
+    r_e_m: (3,) roughly the antenna. systems: those the filter knows. line: its clock is against.
     lasting_m, together: 1σ of errors that last, and so many tags that count as one.
     """
     rejected = fix.solution.rejected
     by_doppler = {s for s, reason in rejected.items() if reason.startswith("Doppler")}
     refused = {s: reason for s, reason in rejected.items() if s not in by_doppler}
     seen = ranges_from(fix.epoch, nav, parameters, r_e_m, refused)
+    off_m, off_mps = line.off(fix.epoch)
     found = tuple(
         RangeObservation(
             satellite,
             satellite[0],
             seen.r_e_m[k],
             seen.v_e_mps[k],
-            float(seen.range_m[k]),
+            float(seen.range_m[k]) + off_m,
             float(np.hypot(seen.sigma_m[k], lasting_m) * np.sqrt(together)),
-            _known(float(seen.rate_mps[k])) if satellite not in by_doppler else None,
+            _known(float(seen.rate_mps[k]) + off_mps) if satellite not in by_doppler else None,
             float(seen.rate_sigma_mps[k]),
             together,
         )

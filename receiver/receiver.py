@@ -18,6 +18,7 @@ from deepgnss.core.constants import SECONDS_PER_WEEK
 from deepgnss.core.records import (
     ChannelReport,
     Correlations,
+    Counter,
     Ephemeris,
     Epoch,
     Event,
@@ -492,7 +493,9 @@ class Receiver:
             )
             received += tagged.received
             coasting += tagged.coasting
-        return Epoch(time, self.clock.instant(tag_ns), tuple(received)), tuple(coasting)
+        instant = self.clock.instant(tag_ns)
+        counter = Counter(-self.clock.lag_s(tag_ns, instant), self.clock.drift_sps)
+        return Epoch(time, instant, tuple(received), counter), tuple(coasting)
 
     # --- accounts ------------------------------------------------------------------------------
 

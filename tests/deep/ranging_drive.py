@@ -12,6 +12,8 @@ import numpy as np
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS as C
 from deepgnss.core.frames import C_ne
 from deepgnss.core.records import (
+    SIGNAL_IDS,
+    Counter,
     Epoch,
     FloatArray,
     NavData,
@@ -55,9 +57,16 @@ PARAMETERS = pvt.PvtParameters()
 Fault = Callable[[str, float], float | None]
 """Metres a satellite's range is too long at a time; None: blocked."""
 
+Bend = Callable[[float], tuple[float, float]]
+"""How far the tags are steered off their line at a time, m behind the counter, and its rate."""
+
 
 def sound(_satellite: str, _time_s: float) -> float | None:
     return 0.0
+
+
+def straight(_time_s: float) -> tuple[float, float]:
+    return 0.0, 0.0
 
 
 @dataclass(frozen=True)
@@ -76,9 +85,10 @@ class World:
         r_e_m: FloatArray = self.vehicle.point(np.array([time_s]), LEVER_M).r_m[0]
         return r_e_m
 
-    def epoch(self, k: int, fault: Fault) -> Epoch:
+    def epoch(self, k: int, fault: Fault, bend: Bend = straight) -> Epoch:
         """Observations of a tag."""
         t = float(self.times_s[k])
+        bent_m, bent_mps = bend(t)
         counter = (t * (1.0 + DRIFT_SPS)) * RATE_HZ
         tag = START.plus(t)
         seen = []
@@ -86,16 +96,19 @@ class World:
             error_m = fault(name, t)
             if error_m is None:
                 continue
-            range_m = float(self.ranges_m[k, column]) + error_m
+            range_m = float(self.ranges_m[k, column]) + error_m - bent_m
+            signal = "GPS_L1CA" if name[0] == "G" else "BDS_B1I"
+            bent_hz = bent_mps * SIGNAL_IDS[signal].carrier_hz / C
             seen.append(
                 Observation(
-                    name, "GPS_L1CA" if name[0] == "G" else "BDS_B1I", range_m, 0.0,
-                    float(self.dopplers_hz[k, column]), 45.0, 10.0, False, False, False,
+                    name, signal, range_m, 0.0,
+                    float(self.dopplers_hz[k, column]) + bent_hz, 45.0, 10.0, False, False, False,
                     tag.plus(-range_m / C),
                 )
             )  # fmt: skip
         instant = SampleInstant(int(counter), counter % 1.0)
-        return Epoch(tag, instant, tuple(seen))
+        counter = Counter(t * DRIFT_SPS + bent_m / C, DRIFT_SPS + bent_mps / C)
+        return Epoch(tag, instant, tuple(seen), counter)
 
 
 @lru_cache(maxsize=4)
@@ -189,21 +202,29 @@ def drive(
     fault: Fault = sound,
     settings: ScreenSettings | None = None,
     placing: Placing | None = None,
+    *,
+    bend: Bend = straight,
+    drift_sigma_mps: float | None = None,
 ) -> Driven:
-    """Run navigation, outlier test and positions through all tags, as the engine does."""
+    """Run navigation, outlier test and positions through all tags, as the engine does.
+
+    drift_sigma_mps: of the counter's drift as the test is told it, if it is.
+    """
+    known_mps = C * DRIFT_SPS + LEFT_MPS
+    drift = None if drift_sigma_mps is None else (known_mps, drift_sigma_mps)
     navigation = Navigation(given.inputs)
-    screening = Screening(PARAMETERS, settings or ScreenSettings(), RATE_HZ)
+    screening = Screening(PARAMETERS, settings or ScreenSettings())
     out, previous = Driven(), None
     to_n = C_ne(given.vehicle.latitude_rad, given.vehicle.longitude_rad)
     lever_b_m = np.array(LEVER_M)
     for k, time_s in enumerate(given.times_s):
-        epoch = given.epoch(k, fault)
+        epoch = given.epoch(k, fault, bend)
         refused = {}
         way = navigation.ahead(epoch.time.plus(0.02)) if navigation.running else None
         if way is None:
             screening.forget()
         else:
-            screen = screening.along(way, lever_b_m, given.nav)
+            screen = screening.along(way, lever_b_m, given.nav, drift)
             refused = dict(screen(epoch)) if epoch.observations else {}
         solution = pvt.solve(epoch, given.nav, PARAMETERS, previous, refused)
         previous = solution if solution.valid else previous

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -115,6 +116,25 @@ def test_without_navigation_nothing_is_refused() -> None:
     assert not driven.ever_refused(0.0, aligned_s)
 
 
+# --- where most are reflections ------------------------------------------------------------------
+
+IN_SIGHT = ("G03", "G14", "C22")
+
+
+def _canyon(name: str, t: float) -> float | None:
+    """A code loop of 0.1 Hz leaves a direct signal for its reflection as slowly as that."""
+    return 0.0 if name in IN_SIGHT else 12.0 * -math.expm1(-max(t - 20.0, 0.0) / 4.0)
+
+
+def test_a_known_drift_tells_the_three_in_sight_from_seven_that_creep_away() -> None:
+    """Without it, what most ranges share passes for the clock's."""
+    given = world(30.0)
+    told, alone = (drive(given, _canyon, drift_sigma_mps=s) for s in (0.02, None))
+    assert told.ever_refused(24.0) == set(given.names) - set(IN_SIGHT)
+    assert not told.ever_refused() & set(IN_SIGHT)
+    assert alone.ever_refused() & set(IN_SIGHT)
+
+
 # --- tight coupling ------------------------------------------------------------------------------
 
 
@@ -140,3 +160,18 @@ def test_tight_coupling_finds_place_clock_and_the_systems_difference() -> None:
     assert np.abs(errors_m[:, :2]).max() < 0.5
     assert np.abs(errors_m[:, 2]).max() < 1.5
     assert not driven.ever_refused()
+
+
+def _kicked(t: float) -> tuple[float, float]:
+    """Tags run 7 m/s off for half a second, by a position of four satellites."""
+    return -7.0 * min(max(t - 20.0, 0.0), 0.5), -7.0 * (20.0 < t <= 20.5)
+
+
+def test_tight_coupling_does_not_mind_how_tags_are_steered() -> None:
+    """What bends them is known: the clock of the filter is the counter's."""
+    given = world(30.0, "tight", 0.1)
+    smooth, bent = drive(given), drive(given, bend=_kicked)
+    assert bent.events == smooth.events
+    np.testing.assert_allclose(bent.error_n_m[-100:], smooth.error_n_m[-100:], atol=1e-3)
+    pairs = zip(bent.innovations, smooth.innovations, strict=True)
+    assert max(abs(one.nis - other.nis) for one, other in pairs) < 0.1
