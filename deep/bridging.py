@@ -127,6 +127,17 @@ class Bridge:
         """Of the navigation's errors but position, as the phases leave it."""
         return None if self._filter is None else self._filter.errors_covariance
 
+    def rate_sigma_mps(
+        self, satellites: Sequence[str], skyline: Skyline, C_ne: FloatArray
+    ) -> FloatArray | None:
+        """1σ of the rates predicted for satellites of a skyline; None without a navigation."""
+        if self._filter is None:
+            return None
+        _, toward_e = skyline.sights.at(self._now_s)
+        return self._filter.rate_sigma_mps(
+            toward_e[0, [skyline.row[satellite] for satellite in satellites]] @ C_ne.T
+        )
+
     def stop(self, coasting: Iterable[Observation] = ()) -> Bridged:
         """There is no navigation: nothing is carried on."""
         self._filter, self._arcs = None, []

@@ -30,6 +30,7 @@ from deepgnss.deep.navigation import InertialInputs, Navigation, NavigationState
 from deepgnss.deep.placing import Placing
 from deepgnss.deep.screening import Screening, ScreenSettings
 from deepgnss.deep.setup import RunPlan
+from deepgnss.deep.straying import Coasting, Straying
 from deepgnss.deep.tight import CLOCK_NOISE
 from deepgnss.deep.time_offset import CarrierLoop
 from deepgnss.ins import WheelSpeeds
@@ -75,6 +76,7 @@ class CoupledNavigation:
         navigation: Navigation,
         aider: Aider,
         bridge: Bridge,
+        straying: Straying,
         guard: Guard,
         screening: Screening | None = None,
         placing: Placing | None = None,
@@ -88,6 +90,7 @@ class CoupledNavigation:
         self._placing = placing
         self._aider = aider
         self._bridge = bridge
+        self._straying = straying
         self._aided = False  # in the last step
         self._drift_sps = 0.0  # of its oscillator, as the last solution had it
         self._velocity_error_e_mps = np.zeros(3)  # of the navigation, as the phases had it
@@ -156,6 +159,8 @@ class CoupledNavigation:
                 events.append(Event(fix.epoch.instant.sample, "RX", "clock jump", detail))
             moves = bridged.moves
         receiver.coast(moves)  # of the last tag: it saw the generators as they stand
+        if found_at:
+            receiver.let_go(self._strayed(receiver, found_at[-1][1]))
         told, innovations = self.navigation.news()
         block = self.navigation.block
         turns = self.guard.take(block, result.fixes, states, told, innovations, aided=self._aided)
@@ -223,6 +228,20 @@ class CoupledNavigation:
         )
         return bridged
 
+    def _strayed(self, receiver: Receiver, state: NavigationState) -> Mapping[str, str]:
+        """Channels in open loop that may be too far off by now, and why."""
+        skyline, ins = self._aider.skyline, state.estimate.ins
+        coasting = [
+            Coasting(channel.satellite, channel.signal)
+            for channel in receiver.channels
+            if channel.coasting and channel.satellite in skyline.row
+        ]
+        names = [one.satellite for one in coasting]
+        sigma_mps = self._bridge.rate_sigma_mps(names, skyline, C_ne(ins.lat_rad, ins.lon_rad))
+        if state.leg is None or sigma_mps is None:
+            return {}
+        return self._straying.take(state.leg.end_s, coasting, sigma_mps)
+
 
 def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNavigation:
     """Read the inertial log (and the odometer's) onto the receiver's time.
@@ -279,4 +298,7 @@ def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNaviga
     )
     guard = Guard(unit, CarrierLoop(*carrier))
     placing = Placing(plan.settings.pvt) if config.positioning.inertial else None
-    return CoupledNavigation(Navigation(inputs), aider, bridge, guard, screening, placing, notes)
+    straying = Straying(plan.settings.tracking.spacing_chips)
+    return CoupledNavigation(
+        Navigation(inputs), aider, bridge, straying, guard, screening, placing, notes
+    )

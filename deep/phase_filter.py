@@ -81,6 +81,14 @@ class PhaseFilter:
         """(3,) NED."""
         return self.mean[self._errors][:3].copy()
 
+    def rate_sigma_mps(self, toward_n: FloatArray) -> FloatArray:
+        """1σ of the predicted rate of ranges from directions (k, 3), the clock's included."""
+        H = np.zeros((toward_n.shape[0], self._base))
+        H[:, self._errors][:, :3] = toward_n
+        H += self._rates
+        P = self.P[: self._base, : self._base]
+        return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", H, P, H)))
+
     @property
     def errors_covariance(self) -> FloatArray:
         """Of the navigation's errors but position."""

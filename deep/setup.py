@@ -157,6 +157,7 @@ def receiver_settings(config: Config) -> ReceiverSettings:
             phase_threshold_dbhz=tracking.thresholds.phase,
             frequency_threshold_dbhz=tracking.thresholds.frequency,
             lost_after_s=tracking.thresholds.lost_after,
+            open_loop_s=tracking.thresholds.open_loop,
             record_correlations=config.output.correlations,
             frequency=FrequencySettings(
                 discriminator=frequency.discriminator,

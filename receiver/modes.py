@@ -89,7 +89,7 @@ class TrackingSettings:
     phase_threshold_dbhz: float = 28.0
     frequency_threshold_dbhz: float = 18.0
     lost_after_s: float = 3.0  # without a signal, when nothing else tells where it is …
-    open_loop_s: float = 60.0  # … and with aiding
+    open_loop_s: float = 600.0  # … and with aiding, unless that says before how far off it may be
     # Up to which a phase is carried on in open loop: a Costas loop falls to the next half cycle,
     # and three σ of 0.08 are a quarter. Where symbols tell whole cycles, twice as far.
     open_loop_phase_sigma_cycles: float = 0.08

@@ -206,7 +206,6 @@ class OpenLoop:
         # Sums of the last symbols, by the code period each lot begins at.
         self.symbols: deque[tuple[int, ComplexArray]] = deque(maxlen=_LOOKED_AT)
         # The same in quarters: a signal too far off in frequency for whole symbols.
-        self._parts = max(1, signal.symbol_periods // 4)
         self._quarters: deque[tuple[float, complex]] = deque(maxlen=_LOOKED_AT)
 
     # --- trust -------------------------------------------------------------------------------
@@ -300,7 +299,8 @@ class OpenLoop:
         if prompts.size % size == 0:
             stripped = prompts.reshape(-1, size) * self._signal.secondary
             self.symbols.append((end - prompts.size, stripped.sum(axis=1)))
-            quarters = stripped.reshape(stripped.shape[0], -1, self._parts).sum(axis=2)
+            parts = self._signal.part_periods
+            quarters = stripped.reshape(stripped.shape[0], -1, parts).sum(axis=2)
             power = float(np.vdot(quarters, quarters).real) / quarters.size
             turn = complex(np.vdot(quarters[:, :-1], quarters[:, 1:]))
             self._quarters.append((power, turn))
@@ -313,13 +313,14 @@ class OpenLoop:
         if len(self._quarters) < _LOOKED_AT:
             return 0.0
         power = min(one for one, _ in self._quarters)
-        return (power / self._parts - noise) / self._parts
+        parts = self._signal.part_periods
+        return (power / parts - noise) / parts
 
     @property
     def off_hz(self) -> float:
         """By how much the carrier is above the generator's frequency, as quarters show it."""
         turn = sum(one for _, one in self._quarters)
-        return cmath.phase(turn) / (math.tau * self._parts * self._signal.period_s)
+        return cmath.phase(turn) / (math.tau * self._signal.part_s)
 
     def end(self, sample: int, frequency_hz: float, aid: AidingRate) -> None:
         """The signal is back."""

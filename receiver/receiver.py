@@ -198,6 +198,15 @@ class Receiver:
         for channel in self.channels:
             channel.coast(moves.get(channel.satellite))
 
+    def let_go(self, gone: Mapping[str, str]) -> None:
+        """Give up channels after a step, by satellite with the reason: they are searched anew."""
+        for bank in self.banks:
+            for channel in bank.tracked():
+                if channel.satellite in gone:
+                    channel.drop(gone[channel.satellite])
+                    self._late.extend(self._counted(channel.events[-1:], bank))
+        self._retire()
+
     def mend(self, satellite: str, cycles: float | None, reason: str) -> None:
         """Take a cycle slip into account that was found after a step, in its last tags.
 

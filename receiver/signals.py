@@ -65,6 +65,8 @@ class Signal:
         init=False
     )  # of an undivided loop update: a symbol, or 20 ms of them
     update_s: float = field(init=False)
+    part_periods: int = field(init=False)  # of a quarter of a symbol: shows a signal far off
+    part_s: float = field(init=False)
     secondary: FloatArray = field(init=False, compare=False)  # ±1 by code period of a symbol
     carrier_to_code: float = field(init=False)  # carrier cycles per chip: 1540 for L1, 763 for B1I
 
@@ -76,6 +78,8 @@ class Signal:
         take("symbol_s", self.symbol_periods * self.period_s)
         take("update_periods", self.symbol_periods * max(1, round(_UPDATE_S / self.symbol_s)))
         take("update_s", self.update_periods * self.period_s)
+        take("part_periods", max(1, self.symbol_periods // 4))
+        take("part_s", self.part_periods * self.period_s)
         chips = np.array(self.secondary_code or (1,) * self.symbol_periods, dtype=np.float64)
         chips.flags.writeable = False
         take("secondary", chips)

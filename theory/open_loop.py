@@ -227,6 +227,18 @@ def shared_growth(
     return Growth("others", np.array(sigmas), np.full(len(sigmas), np.nan))
 
 
+# --- code -----------------------------------------------------------------------------------------
+
+
+def way_bound(sigma: float, rate_sigma: float, seconds: float) -> float:
+    """Most that 1σ of a way can be after a step over which its rate errs by a 1σ.
+
+    Spreads add up at most by their size, as they do where errors keep their sign: what is drawn
+    once. The drift of an accelerometer, √t further, makes 3 % less.
+    """
+    return sigma + rate_sigma * seconds
+
+
 # --- atmosphere, phase at the start ---------------------------------------------------------------
 
 

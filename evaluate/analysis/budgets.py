@@ -11,10 +11,11 @@ import pandas as pd
 
 from deepgnss.core.carrier_model import carrier_covariance
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
-from deepgnss.core.records import BDS_B1I, GPS_L1CA, FloatArray
+from deepgnss.core.records import FloatArray
 from deepgnss.evaluate.analysis.subject import Subject
 from deepgnss.evaluate.peak_probability import SUMS, SYMBOL_S, peak_shares
 from deepgnss.receiver.modes import TrackingSettings
+from deepgnss.receiver.signals import BDS_B1I_D1, GPS_L1CA_SIGNAL
 from deepgnss.theory.discriminator_range import (
     aided_rise_hz,
     largest_acceleration_mps2,
@@ -25,6 +26,7 @@ from deepgnss.theory.inertial import Sums, error_growth, error_sums
 from deepgnss.theory.loop_response import drawn_response
 from deepgnss.theory.open_loop import Growth, best_fit, clock_growth, entry_growth, together
 from deepgnss.theory.phase_budget import THRESHOLD_CYCLES, best_bandwidth_hz, phase_budget
+from deepgnss.theory.reach import reach
 from deepgnss.theory.tracking_error import (
     dll_thermal_sigma_chips,
     pll_thermal_sigma_cycles,
@@ -226,14 +228,18 @@ def _trusted(
         (f"the same, {2.0 * own:g} with known symbols", sigma.phase_cycles, 2.0 * own),
         (f"frequency, sum + 1σ within {rise_hz:.3g} Hz", worst.frequency_hz, rise_hz),
     ]
-    for signal in (GPS_L1CA, BDS_B1I):
-        chip_m = SPEED_OF_LIGHT_MPS / signal.chip_rate_hz
+    code_m, worst_m = (one.phase_cycles * subject.wavelength_m for one in (sigma, worst))
+    for signal in (GPS_L1CA_SIGNAL, BDS_B1I_D1):
+        name, chip_m = signal.id.name, SPEED_OF_LIGHT_MPS / signal.id.chip_rate_hz
         limits.append(
-            (
-                f"code, sum + 1σ within {_CODE_CHIPS:g} chip of {signal.name}",
-                worst.phase_cycles * subject.wavelength_m,
-                _CODE_CHIPS * chip_m,
-            )
+            (f"code, sum + 1σ within {_CODE_CHIPS:g} chip of {name}", worst_m, _CODE_CHIPS * chip_m)
+        )
+        hz, chips = reach(signal.part_s, subject.spacing_chips)
+        if signal.id == subject.signal:
+            frequency = f"frequency, 1σ within {hz:.3g} Hz, the receiver's"
+            limits.append((frequency, sigma.frequency_hz, hz))
+        limits.append(
+            (f"code, 1σ within {chips:.3g} chip of {name}, the receiver's", code_m, chips * chip_m)
         )
     return tuple((what, _until(at_s, curve, limit)) for what, curve, limit in limits)
 

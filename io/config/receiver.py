@@ -172,6 +172,8 @@ class ThresholdsConfig(Section):
     """T4: the frequency is tracked above, dB-Hz (before bit sync not below 24)."""
     lost_after: Annotated[float, Quantity(0.0, 600.0, "s", above=True)] = 3.0
     """T2: a signal gone for this long is searched anew, s."""
+    open_loop: Annotated[float, Quantity(0.0, 36000.0, "s", above=True)] = 600.0
+    """The same with aiding, unless 1σ of its frequency or code is beyond reach before, s."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

@@ -64,6 +64,7 @@ class Told:
     bridged: Bridged
     drift_sps: float
     phase_cycles: dict[str, float]  # true ones, with every slip put in
+    rate_sigma_mps: FloatArray  # of the emitters, in their order
 
 
 @dataclass
@@ -200,7 +201,10 @@ class Tags:
             bridged = bridge.take(tag, skyline)
             truth = {s: values[k] + repaired[s] for s, values in phases.items()}
             drift = bridge.drift_sps
-            told.append(Told(float(t), bridged, np.nan if drift is None else drift, truth))
+            sigma_mps = bridge.rate_sigma_mps(list(phases), skyline, C)
+            assert sigma_mps is not None
+            drift = np.nan if drift is None else drift
+            told.append(Told(float(t), bridged, drift, truth, sigma_mps))
             for satellite, move in bridged.moves.items():
                 coasted[satellite] += move.cycles
             for slip in bridged.slips:

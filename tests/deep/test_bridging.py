@@ -228,6 +228,26 @@ def test_wheels_and_road_hold_a_phase_in_open_loop() -> None:
         assert 0.6 < ratio < 1.5, (after, ratio)
 
 
+@pytest.mark.parametrize(("grade", "oscillator"), [("MTi-G", OCXO), ("FSAS", TCXO)])
+def test_sigma_of_rates_in_open_loop_is_their_spread(grade: str, oscillator: Oscillator) -> None:
+    """What a phase carried on gains from tag to tag is what its rate is wrong by."""
+    ratios = []
+    for seed in range(10):
+        unit, count = imu_grade(grade), 6
+        tags = Tags(
+            11.0, cn0_dbhz=45.0, oscillator=oscillator, grade=unit, satellites=count, seed=seed
+        )
+        told = tags.run(Bridge(oscillator, LOOP), lambda _, t: t > 6.0)
+        errors, _ = _carried(tags, told, 6.0)
+        hz = np.diff(errors, axis=0) / STEP_S
+        wavelengths = [SPEED_OF_LIGHT_MPS / e.signal.id.carrier_hz for e in tags.scenario.emitters]
+        sigma_mps = np.array([one.rate_sigma_mps for one in told])[-hz.shape[0] :]
+        ratios.append(hz * wavelengths / sigma_mps)
+    for after in (20, 45):
+        ratio = np.sqrt(np.mean(np.array(ratios)[:, after] ** 2))
+        assert 0.6 < ratio < 1.5, (after, ratio)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("grade", "oscillator"), [("MTi-G", OCXO), ("FSAS", OCXO), ("FSAS", TCXO), ("MTi-G", STEADY)]

@@ -84,7 +84,7 @@ def test_settings_arrive_where_they_belong() -> None:
                     "gain": 0.7,
                     "phase": True,
                 },
-                "thresholds": {"phase": 31.0, "frequency": 21.0, "lost_after": 4.5},
+                "thresholds": {"phase": 31.0, "frequency": 21.0, "lost_after": 4.5, "open_loop": 70},
             },
             acquisition={
                 "doppler_max": 7500.0,
@@ -113,7 +113,7 @@ def test_settings_arrive_where_they_belong() -> None:
     assert tracking.spacing_chips == 0.6
     assert (tracking.code_order, tracking.code_bandwidths_hz) == (1, (2.5, 0.4))
     assert (tracking.phase_threshold_dbhz, tracking.frequency_threshold_dbhz) == (31.0, 21.0)
-    assert tracking.lost_after_s == 4.5
+    assert (tracking.lost_after_s, tracking.open_loop_s) == (4.5, 70.0)
     assert tracking.frequency == FrequencySettings("sfft", 7, 0.25, 1, 0.7, True)
     assert tracking.record_correlations
     assert (search.doppler_max_hz, search.false_alarm) == (7500.0, 0.002)

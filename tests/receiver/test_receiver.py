@@ -19,7 +19,7 @@ from simulated_sky import (
 )
 
 from deepgnss.core.constants import SECONDS_PER_WEEK
-from deepgnss.core.records import GPS_L1CA, Epoch, NavData, Observation
+from deepgnss.core.records import GPS_L1CA, Epoch, Event, NavData, Observation
 from deepgnss.core.time import GpsTime
 from deepgnss.io.rinex_obs import ObsHeader, RinexObsWriter
 from deepgnss.receiver import lnav
@@ -336,6 +336,27 @@ def test_channels_in_open_loop_are_told_apart_and_can_be_put_right() -> None:
     assert before
     assert after
     assert not set(before) & set(after)
+
+
+def test_a_channel_let_go_is_lost_with_its_reason_and_searched_anew() -> None:
+    sky = shared_sky()
+    satellite = next(e.satellite for e in sky.scenario.emitters if e.cn0_dbhz == BLOCKED_1_S)
+    place_e_m = sky.scenario.vehicle.point(np.zeros(1)).r_m[0]
+    knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m)
+    receiver = _receiver(knowledge)
+    feed, aiding = _feed(), {satellite: _truly(sky, satellite)}
+    events: list[Event] = []
+    let_go = False
+    for k in range(64):
+        result = receiver.step({"GPS_L1CA": feed}, k * 260_000, (k + 1) * 260_000, aiding)
+        events += [event for event in result.events if event.satellite == satellite]
+        if not let_go and any(fix.coasting for fix in result.fixes):
+            let_go = True
+            receiver.let_go({satellite: "too far off"})
+            assert satellite not in {channel.satellite for channel in receiver.channels}
+    ends = [k for k, event in enumerate(events) if event.what == "lost"]
+    assert [events[k].reason for k in ends] == ["too far off"]
+    assert "acquired" in [event.what for event in events[ends[0] :]]  # blocked for a second only
 
 
 @pytest.mark.parametrize("bridged", [True, False])
