@@ -110,7 +110,7 @@ def measure(quick: bool, seeds: Sequence[int]) -> list[Figure]:
         lost = ", ".join(f"{s.lost} at {s.cn0_dbhz:g}" for s in spreads if s.lost)
         total = trials * len(generators)
         text = f"{lowest:g} dB-Hz" + (f" (lost of {total}: {lost})" if lost else "")
-        figures.append(Figure(f"{name}: above threshold from", text, None))
+        figures.append(Figure(f"{name}: above threshold from", text, None if above else False))
         figures += [_judged(name, one, total, quick, squared=squared) for one in above]
     plain = _pooled(_PLAIN_DBHZ, trials, generators, squared=False, climbs=0)
     figures.append(_figure(f"L(15–18) alone, {_PLAIN_DBHZ:g} dB-Hz", plain.ratios, "", None))

@@ -246,7 +246,7 @@ def measure_rtk(quick: bool, seeds: Sequence[int]) -> list[Figure]:
     alone = found[FULL].right
     figures = []
     for name, own in found.items():
-        ratio = own.right / alone if alone else np.inf
+        ratio = own.right / alone if alone else np.inf if own.right else 0.0
         of = f"right {own.right} of {own.right + own.wrong} fixes, {own.epochs} tags"
         met = None if name == FULL or quick else ratio >= RTK_GAIN
         figures.append(Figure(name, of if name == FULL else f"{of}; {ratio:.2f} × unaided", met))

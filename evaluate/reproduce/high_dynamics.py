@@ -161,5 +161,5 @@ def _figure(grade: str, g: int, runs: Sequence[Outcome], *, judged: bool) -> Fig
         f"{grade}: tracked after {g} g",
         f"{tracked} of {len(runs)}; largest {hz:.2f} Hz of {OFF_HZ:.2f}, {chips:.3f} chip;"
         f" {moved} moved back from other lines",
-        tracked == len(runs) if judged else None,
+        0 < tracked == len(runs) if judged else None,
     )

@@ -245,7 +245,7 @@ def _share_figure(
         f"{what}: |error| < {limit_cycles:g} cycle",
         f"{percent(int(np.sum(errors < limit_cycles)), len(found))}, predicted"
         f" {100.0 * _expected(found, limit_cycles):.1f} %; median {middle:.3f}, largest {largest}",
-        None if target is None else share >= target,
+        None if target is None else share >= target > 0.0,
     )
 
 

@@ -150,7 +150,7 @@ def measure_channel(quick: bool, seeds: Sequence[int]) -> list[Figure]:
         Figure(
             "CPU per channel and second",
             f"{slope_s:.4f} s ({satellites} satellites, {short_s:g} and {long_s:g} s)",
-            slope_s <= CHANNEL_S,
+            0.0 < slope_s <= CHANNEL_S,
         )
     ]
 

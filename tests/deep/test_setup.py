@@ -84,7 +84,12 @@ def test_settings_arrive_where_they_belong() -> None:
                     "gain": 0.7,
                     "phase": True,
                 },
-                "thresholds": {"phase": 31.0, "frequency": 21.0, "lost_after": 4.5, "open_loop": 70},
+                "thresholds": {
+                    "phase": 31.0,
+                    "frequency": 21.0,
+                    "lost_after": 4.5,
+                    "open_loop": 70,
+                },
             },
             acquisition={
                 "doppler_max": 7500.0,

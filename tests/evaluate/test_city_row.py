@@ -110,6 +110,9 @@ def test_right_fixes_of_all_seeds_are_held_against_the_unaided_run(
     assert figures[0].ours == "right 10 of 12 fixes, 100 tags"
     assert figures[1].ours == "right 13 of 13 fixes, 100 tags; 1.30 × unaided"
     assert [figure.met for figure in city.measure_rtk(False, [1])] == [None, False, True]
+    unfixed = dict.fromkeys((city.FULL, *city.AIDED), Shares(50, 0, 0, 0, 50, np.nan))
+    monkeypatch.setattr(city, "drive", lambda seed, quick: city.Drive(none, {}, unfixed))
+    assert [figure.met for figure in city.measure_rtk(False, [1])] == [None, False, False]
     bare = city.Drive(none, {}, dict.fromkeys(city.RUNS))
     monkeypatch.setattr(city, "drive", lambda seed, quick: bare)
     (figure,) = city.measure_rtk(True, [1])

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 import pandas as pd
 import pytest
 
+from deepgnss.evaluate.reproduce import kalman_loop, verdict
 from deepgnss.evaluate.reproduce.kalman_loop import (
     DYNAMIC,
     STATIC,
@@ -51,6 +54,22 @@ def test_a_lag_counts() -> None:
     t = 0.1 * np.arange(140)
     position_m = np.outer(t > 10.05, [0.02, 0.0, 0.0])
     assert errors_of(_table(position_m), SIGHTS, DYNAMIC).phase_m == pytest.approx(0.02, rel=1e-3)
+
+
+def test_a_share_held_of_nothing_is_lost() -> None:
+    assert Errors(np.nan, np.nan, np.nan, np.nan).lost()
+    assert not Errors(0.001, 0.01, 0.5, 0.99).lost()
+
+
+def test_a_loop_that_is_held_against_none_is_not_better(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, other = Errors(0.001, 0.01, 0.5, 1.0), Errors(0.0017, 0.021, 0.5, 1.0)
+    for held, met in ((1.0, True), (0.5, False)):
+        runs = iter([ours, *[other._replace(held=held)] * 2])
+        monkeypatch.setattr(kalman_loop, "errors_of", lambda *_, runs=runs: next(runs))
+        monkeypatch.setattr(kalman_loop, "recorded", lambda *_: nullcontext())
+        monkeypatch.setattr(kalman_loop, "tracked", lambda *_: None)
+        monkeypatch.setattr(kalman_loop, "sights_of", lambda *_: None)
+        assert verdict(kalman_loop.measure_static(False, [1])) is met
 
 
 def test_verdicts() -> None:

@@ -129,6 +129,13 @@ def test_shares_count_lost_phases_and_ratios_each_by_its_own_sigma() -> None:
     assert not open_loop._share_figure("x", [*found, lost], 0.5, 0.51).met
 
 
+def test_where_nothing_is_predicted_no_share_is_enough() -> None:
+    """OL-SALL asks for a part of the predicted share, which is none of phases never tracked."""
+    lost = Carried(ONE, np.empty(0), np.empty(0), False, math.nan, math.nan)
+    assert open_loop._expected([lost], 0.5) == 0.0
+    assert open_loop._share_figure("x", [lost], 0.5, 0.0).met is False
+
+
 # --- theory ---------------------------------------------------------------------------------------
 
 
