@@ -40,6 +40,20 @@ def driven_covariance(states: int, seconds: float, driven: int, density: float) 
     return found
 
 
+def wander_covariance(t_s: FloatArray, oscillator: Oscillator, carrier_hz: float) -> FloatArray:
+    """Covariance (n, n) of what an oscillator adds to the phase at times before and after 0.
+
+    Beyond phase and frequency at 0. Its noise before and after is independent; on one side, with
+    a ≤ b from 0, q_b·a + q_d·(a²·b/2 − a³/6), q as of `carrier_covariance`.
+    """
+    size = np.abs(t_s)
+    a, b = np.minimum.outer(size, size), np.maximum.outer(size, size)
+    phase = carrier_hz**2 * oscillator.h0_s / 2.0
+    frequency = carrier_hz**2 * 2.0 * math.pi**2 * oscillator.h_2_hz
+    same = np.multiply.outer(t_s, t_s) > 0.0
+    return np.asarray(same * (phase * a + frequency * a * a * (b / 2.0 - a / 6.0)))
+
+
 def carrier_covariance(
     states: int, seconds: float, oscillator: Oscillator, carrier_hz: float, density: float
 ) -> FloatArray:

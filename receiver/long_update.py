@@ -19,11 +19,12 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from deepgnss.core.carrier_model import carrier_covariance, transition
+from deepgnss.core.carrier_model import carrier_covariance, transition, wander_covariance
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import GPS_L1CA, ComplexArray, FloatArray, Oscillator
 from deepgnss.receiver.chirp import climbed, find_chirp, find_squared_chirp, turns
@@ -70,11 +71,33 @@ class Filtered(NamedTuple):
     surprise: float  # normalized innovation squared, per value
 
 
-def measurement_covariance(cn0_hz: float, count: int, interval_s: float, values: int) -> FloatArray:
-    """R of phase, frequency (and rate) of `count` sums: the inverse of their information, L(34)."""
-    t = interval_s * (np.arange(count) - 0.5 * (count - 1))
-    gradient = _TURN * np.array([np.ones(count), t, 0.5 * t * t])[:values]
-    return np.asarray(np.linalg.inv(2.0 * cn0_hz * interval_s * gradient @ gradient.T))
+def measurement_covariance(
+    cn0_hz: float,
+    count: int,
+    interval_s: float,
+    values: int,
+    oscillator: Oscillator = IDEAL_OSCILLATOR,
+) -> FloatArray:
+    """R of phase, frequency (and rate) of `count` sums: the inverse of their information, L(34).
+
+    And what the oscillator does within them, which L leaves out: at 45 dB-Hz a TCXO's frequency
+    wanders by ten times what noise makes of it in 200 ms, and its rate by as much.
+    """
+    inverse, wander = _fit(count, interval_s, values, oscillator)
+    return np.asarray(inverse / (2.0 * _TURN**2 * cn0_hz * interval_s) + wander)
+
+
+@lru_cache(maxsize=32)
+def _fit(
+    count: int, interval_s: float, values: int, oscillator: Oscillator
+) -> tuple[FloatArray, FloatArray]:
+    """Of a fit to `count` phases: (GGᵀ)⁻¹ of its gradient, and the oscillator's part of R."""
+    t: FloatArray = interval_s * (np.arange(count, dtype=np.float64) - 0.5 * (count - 1))
+    gradient = np.array([np.ones(count), t, 0.5 * t * t])[:values]
+    inverse = np.linalg.inv(gradient @ gradient.T)
+    solved = inverse @ gradient
+    wander = solved @ wander_covariance(t, oscillator, GPS_L1CA.carrier_hz) @ solved.T
+    return inverse, wander
 
 
 def filtered(P: FloatArray, measured: Measured) -> Filtered:
@@ -127,7 +150,7 @@ class LongUpdateLoop:
         """Signs ±1 of an update's symbols (n,), next to the phase that is expected."""
         seconds = sums.size * interval_s
         P, cn0_hz = self.predicted(memory, seconds), max(memory.cn0_hz, _LEAST_CN0_HZ)
-        R = measurement_covariance(cn0_hz, sums.size, interval_s, 3)
+        R = measurement_covariance(cn0_hz, sums.size, interval_s, 3, self.oscillator)
         straight = _straightened(sums, interval_s, memory.jerk_hzps2)
         squares = straight * straight
         frequency = rate = 0.0
@@ -154,7 +177,7 @@ class LongUpdateLoop:
         P = self.predicted(memory, T)
         jerk = memory.jerk_hzps2
         prompts = _straightened(seen.periods[:, 1], seen.period_s, jerk)
-        measured = _measured(prompts, seen.period_s, P, seen.cn0_hz or math.inf)
+        measured = self._measured(prompts, seen.period_s, P, seen.cn0_hz or math.inf)
         x, after, surprise = filtered(P, measured)
         if surprise > _SURPRISE:
             x, after, _ = filtered(P + np.diag(np.square(_OPENED)), measured)
@@ -164,6 +187,30 @@ class LongUpdateLoop:
             float(x[2]) + jerk * T / 6.0,
         )
         return Memory(jerk + float(x[3]), after, memory.updates + 1, measured.cn0_hz), correction
+
+    def _measured(
+        self, prompts: ComplexArray, interval_s: float, P: FloatArray, cn0_hz: float
+    ) -> Measured:
+        """Phase, frequency and, where that tells something, rate of prompts (n,) of known signs.
+
+        cn0_hz: of the last second; the update's own is believed where it is lower.
+        """
+        frequency = rate = 0.0
+        if _is_wide(P, prompts.size * interval_s):
+            _, frequency, rate, _ = find_chirp(prompts, interval_s, _WIDEST_HZPS)
+        for _ in range(_CLIMBS):
+            frequency, _ = climbed(prompts, interval_s, frequency, rate)
+        line = complex((prompts * turns(prompts.size, interval_s, frequency, rate)).sum())
+        cn0_hz = max(min(cn0_hz, _strength_hz(prompts, interval_s, abs(line))), _LEAST_CN0_HZ)
+        R = measurement_covariance(cn0_hz, prompts.size, interval_s, 3, self.oscillator)
+        if _tells_rate(P, R):
+            for _ in range(_CLIMBS):
+                frequency, rate = climbed(prompts, interval_s, frequency, rate)
+            line = complex((prompts * turns(prompts.size, interval_s, frequency, rate)).sum())
+            return Measured(np.array([cmath.phase(line) / _TURN, frequency, rate]), R, cn0_hz)
+        line = complex((prompts * turns(prompts.size, interval_s, frequency, 0.0)).sum())
+        R = measurement_covariance(cn0_hz, prompts.size, interval_s, 2, self.oscillator)
+        return Measured(np.array([cmath.phase(line) / _TURN, frequency]), R, cn0_hz)
 
     def foreseen(self, memory: Memory, seconds: float) -> Correction:
         """What the slope of the rate changes by the end of an update, with the next in mind.
@@ -206,29 +253,6 @@ def _straightened(sums: ComplexArray, interval_s: float, jerk_hzps2: float) -> C
     """Sums (n,) of an update without what the slope of the rate is known to do in it."""
     t = interval_s * (np.arange(sums.size, dtype=np.float64) + 0.5)
     return np.asarray(sums * np.exp(-1j * _TURN * bent(jerk_hzps2, sums.size * interval_s, t)))
-
-
-def _measured(prompts: ComplexArray, interval_s: float, P: FloatArray, cn0_hz: float) -> Measured:
-    """Phase, frequency and, where that tells something, rate of prompts (n,) of known signs.
-
-    cn0_hz: of the last second; the update's own is believed where it is lower.
-    """
-    frequency = rate = 0.0
-    if _is_wide(P, prompts.size * interval_s):
-        _, frequency, rate, _ = find_chirp(prompts, interval_s, _WIDEST_HZPS)
-    for _ in range(_CLIMBS):
-        frequency, _ = climbed(prompts, interval_s, frequency, rate)
-    line = complex((prompts * turns(prompts.size, interval_s, frequency, rate)).sum())
-    cn0_hz = max(min(cn0_hz, _strength_hz(prompts, interval_s, abs(line))), _LEAST_CN0_HZ)
-    R = measurement_covariance(cn0_hz, prompts.size, interval_s, 3)
-    if _tells_rate(P, R):
-        for _ in range(_CLIMBS):
-            frequency, rate = climbed(prompts, interval_s, frequency, rate)
-        line = complex((prompts * turns(prompts.size, interval_s, frequency, rate)).sum())
-        return Measured(np.array([cmath.phase(line) / _TURN, frequency, rate]), R, cn0_hz)
-    line = complex((prompts * turns(prompts.size, interval_s, frequency, 0.0)).sum())
-    R = measurement_covariance(cn0_hz, prompts.size, interval_s, 2)
-    return Measured(np.array([cmath.phase(line) / _TURN, frequency]), R, cn0_hz)
 
 
 def _strength_hz(prompts: ComplexArray, interval_s: float, line: float) -> float:

@@ -8,13 +8,19 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from deepgnss.core.carrier_model import carrier_covariance, driven_covariance, transition
+from deepgnss.core.carrier_model import (
+    carrier_covariance,
+    driven_covariance,
+    transition,
+    wander_covariance,
+)
 from deepgnss.core.records import FloatArray, Oscillator
 from deepgnss.theory.oscillators import (
     free_running_frequency_sigma_hz,
     free_running_phase_sigma_cycles,
 )
 
+CARRIER_HZ = 1.57542e9
 OSCILLATOR = Oscillator("some", 2e-21, 0.0, 3e-22, 0.0)
 
 
@@ -55,3 +61,22 @@ def test_time_may_be_cut(driven: int) -> None:
     half, phi = driven_covariance(4, 0.1, driven, 3.0), transition(4, 0.1)
     whole = driven_covariance(4, 0.2, driven, 3.0)
     assert phi @ half @ phi.T + half == pytest.approx(whole, rel=1e-12)
+
+
+def test_wander_about_an_instant_is_that_of_drawn_clocks() -> None:
+    """White noise of frequency and its walk, less phase and frequency in the middle."""
+    oscillator = Oscillator("TCXO", 1e-21, 0.0, 2e-20, 0.0)
+    random, step_s, count, half = np.random.default_rng(2), 1e-3, 20_000, 100
+    white = CARRIER_HZ * np.sqrt(0.5 * oscillator.h0_s * step_s)
+    walk = CARRIER_HZ * np.pi * np.sqrt(2.0 * oscillator.h_2_hz * step_s)
+    hz = np.cumsum(walk * random.standard_normal((count, 2 * half)), axis=1)
+    before = np.concatenate([np.zeros((count, 1)), hz[:, :-1]], axis=1)
+    steps = 0.5 * step_s * (before + hz) + white * random.standard_normal(hz.shape)
+    phase = np.cumsum(steps, axis=1)
+    t = step_s * np.arange(1 - half, half + 1)
+    off = phase - phase[:, [half - 1]] - hz[:, [half - 1]] * t
+    at = [9, 59, 98, 139, 199]
+    found, expected = np.cov(off[:, at].T), wander_covariance(t[at], oscillator, CARRIER_HZ)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(found / scale, expected / scale, atol=0.03)
+    assert expected[0, 4] == 0.0

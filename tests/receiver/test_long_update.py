@@ -11,8 +11,8 @@ from typing import cast
 import numpy as np
 import pytest
 
-from deepgnss.core.carrier_model import transition
-from deepgnss.core.records import FloatArray, Oscillator, RunningSums
+from deepgnss.core.carrier_model import carrier_covariance, transition
+from deepgnss.core.records import GPS_L1CA, FloatArray, Oscillator, RunningSums
 from deepgnss.evaluate.reproduce.correlator_model import PHASE_0, RATE_HZ, Model, start
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.interval import Interval
@@ -37,6 +37,7 @@ from deepgnss.receiver.signals import BDS_B1I_D1, BDS_B1I_D2, GPS_L1CA_SIGNAL, S
 from deepgnss.receiver.trackers import NcoState, accumulate, advance, corrected
 from deepgnss.theory.chirp import tone_bound
 
+TCXO = Oscillator("TCXO", 1e-21, 0.0, 2e-20, 0.0)
 OCXO = Oscillator("OCXO", 2e-25, 0.0, 6e-25, 0.0)
 UPDATE_S = 0.2
 SETTINGS = TrackingSettings(
@@ -86,6 +87,19 @@ def test_generator_foresees_the_slope_of_the_rate() -> None:
     assert bent(jerk, UPDATE_S, t)[-1] == pytest.approx(0.0, abs=1e-12)
 
 
+def drawn_clock(
+    oscillator: Oscillator | None, count: int, generator: np.random.Generator
+) -> FloatArray:
+    """Phase and frequency (count + 1, 2) of an oscillator, cycles and Hz, every 0.5 ms."""
+    if oscillator is None:
+        return np.zeros((count + 1, 2))
+    Q = carrier_covariance(2, 0.5e-3, oscillator, GPS_L1CA.carrier_hz, 0.0)
+    drawn = generator.standard_normal((count, 2)) @ np.linalg.cholesky(Q).T
+    hz = np.concatenate([[0.0], np.cumsum(drawn[:, 1])])
+    phase = np.concatenate([[0.0], np.cumsum(0.5e-3 * hz[:-1] + drawn[:, 0])])
+    return np.column_stack([phase, hz])
+
+
 class Track(SimpleNamespace):
     """What a loop made of a carrier: errors in the middles of updates, (n, 4), and P there."""
 
@@ -94,14 +108,17 @@ class Track(SimpleNamespace):
     signs: float  # share decided wrong
 
 
-def tracked(cn0_dbhz: float, jerk: float, seed: int, updates: int = 40) -> Track:
+def tracked(
+    cn0_dbhz: float, jerk: float, seed: int, updates: int = 40, oscillator: Oscillator | None = None
+) -> Track:
     """A loop alone on prompts of 1 ms with symbols, a steady slope of the rate.
 
-    Begun at 38 dB-Hz at least.
+    Begun at 38 dB-Hz at least. oscillator: whose noise is on the carrier, None: none is.
     """
     generator = np.random.default_rng(seed)
-    loop, n = LongUpdateLoop(UPDATE_S, 0.75, OCXO), round(UPDATE_S * 1e3)
+    loop, n = LongUpdateLoop(UPDATE_S, 0.75, oscillator or OCXO), round(UPDATE_S * 1e3)
     memory = loop.start()
+    clock = drawn_clock(oscillator, 2 * n * updates, generator)  # every half millisecond
     truth = np.array([0.3, 100.0, -200.0, jerk])
     state = NcoState(0.35, 100.5, -190.0)
     t = 1e-3 * (np.arange(n) + 0.5)
@@ -109,6 +126,7 @@ def tracked(cn0_dbhz: float, jerk: float, seed: int, updates: int = 40) -> Track
     for k in range(updates):
         cn0_hz = 10.0 ** (0.1 * (cn0_dbhz if k > 5 else max(cn0_dbhz, 38.0)))
         phase = truth[0] + t * (truth[1] + t * (truth[2] / 2.0 + t * truth[3] / 6.0))
+        phase += clock[2 * k * n + 1 : 2 * (k + 1) * n : 2, 0]
         local = np.array([advance(state, float(s)).phase for s in t])
         sent = np.repeat(generator.choice((-1.0, 1.0), n // 20), 20)
         noise = generator.standard_normal((n, 2)) @ [1.0, 1.0j] / math.sqrt(2.0)
@@ -118,6 +136,7 @@ def tracked(cn0_dbhz: float, jerk: float, seed: int, updates: int = 40) -> Track
         seen = accumulate(taps, 1e-3, True, cn0_hz=cn0_hz)
         memory, correction = loop.step(memory, seen)
         middle = transition(4, 0.5 * UPDATE_S) @ truth
+        middle[:2] += clock[(2 * k + 1) * n]
         known = corrected(advance(state, 0.5 * UPDATE_S), correction, 0.0)
         errors.append(np.array([*known, memory.jerk_hzps2]) - middle)
         covariances.append(memory.P)
@@ -141,6 +160,18 @@ def test_knows_its_own_errors(jerk: float) -> None:
     assert all(run.signs == 0.0 for run in runs)
     first = np.array([run.errors[0, 0] for run in runs])
     assert np.abs(first).max() < 0.03  # a single update settles the phase
+
+
+@pytest.mark.parametrize("cn0_dbhz", [45.0, 35.0])
+def test_knows_what_a_poor_oscillator_does_within_an_update(cn0_dbhz: float) -> None:
+    """Left out of R, which L does, NEES at 45 dB-Hz was 60, and a walk of frequency shook it."""
+    runs = [tracked(cn0_dbhz, 0.0, seed, 60, TCXO) for seed in range(4)]
+    nees = [
+        float(e @ np.linalg.solve(P, e))
+        for run in runs
+        for e, P in zip(run.errors[10:], run.P[10:], strict=True)
+    ]
+    assert 2.0 < float(np.mean(nees)) < 6.0
 
 
 def test_slips_nowhere_at_the_published_threshold() -> None:
