@@ -21,6 +21,7 @@ from deepgnss.evaluate.observations import read_observations, read_ranges, wavel
 LOOPS = ("pll2", "pll3", "kalman", "long_update")
 _SLIP_CYCLES = 0.25
 _SHORTEST_S = 3.0  # of an arc whose mean says something
+_SETTLED_M = 1e-6
 
 
 class Run(NamedTuple):
@@ -103,10 +104,11 @@ def phases(errors: pd.DataFrame) -> Phases:
     arc = own["satellite"] + own["arc"].astype(str)
     length_s = own.groupby(arc)["time_ms"].transform(np.ptp) / 1e3
     own, arc = own[length_s >= _SHORTEST_S], arc[length_s >= _SHORTEST_S]
-    left = own["phase_m"]
-    for _ in range(20):  # means of arcs and of epochs, which do not always overlap alike
-        left = left - left.groupby(arc).transform("mean")
+    left, moved_m = own["phase_m"], np.inf
+    while moved_m > _SETTLED_M:  # many rounds where arcs are short and overlap with few others
+        before, left = left, left - left.groupby(arc).transform("mean")
         left = left - left.groupby(own["time_ms"]).transform("median")
+        moved_m = float((left - before).abs().max())
     steps = left.groupby(arc).diff().abs()
     limit_m = own["satellite"].map(wavelength_m) * _SLIP_CYCLES
     return Phases(float((left**2).mean() ** 0.5), int((steps > limit_m).sum()), arc.nunique())

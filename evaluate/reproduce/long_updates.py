@@ -44,9 +44,9 @@ _GENTLE: Final = "tracking.carrier.long_update.dynamics=0.1"  # told of 8 Hz/s²
 _INSTANTS: Final = 10  # of an update
 _SLIP_CYCLES: Final = 0.25
 _STRONG_DBHZ: Final = 45.0
-# To the level of LU-SENS at once; until the mean of the last second knows of it, some four seconds,
-# the receiver takes its phases for those of a signal about to be lost, and puts none out.
-_FALL_S: Final = 3.0
+_FALL_S: Final = (1.5, 5.5)  # from strong to the level of LU-SENS, in steps of 1 dB
+# By then the mean of the last second knows of it; before, the receiver takes phases for those of a
+# signal about to be lost, and puts none out.
 _WEAK_S: Final = 7.0
 _LEVELS: Final = ((0.0, 7.0, 40.0), (7.0, 14.0, 35.0), (14.0, 24.0, 30.0))  # LU-PHASE: s, dB-Hz
 _SETTLED_S: Final = 2.0  # of each before it counts
@@ -112,6 +112,14 @@ def levels(*points: tuple[float, float]) -> str:
     front_end = build(load_scenario(PUBLISHED + SCENARIO)).scenario.streams[0].front_end
     lost = loss_db(front_end)
     return f"satellites.schedule={{all: {[[s, round(level + lost, 3)] for s, level in points]}}}"
+
+
+def falling(dbhz: float) -> list[tuple[float, float]]:
+    """Levels over time of LU-SENS: strong, then down to one."""
+    steps = round(_STRONG_DBHZ - dbhz)
+    times_s = np.linspace(*_FALL_S, steps)
+    down = np.linspace(_STRONG_DBHZ, dbhz, steps + 1)[1:]
+    return [(0.0, _STRONG_DBHZ), *zip(times_s.round(3).tolist(), down.tolist(), strict=True)]
 
 
 def heard(recording: Recording, *settings: str) -> Heard:
@@ -216,7 +224,7 @@ def measure_sensitivity(quick: bool, seeds: Sequence[int]) -> list[Figure]:
         for dbhz in (level,) if quick else (level, level - _BELOW_DB):
             runs = []
             for seed in seeds[:1] if quick else seeds:
-                schedule = levels((0.0, _STRONG_DBHZ), (_FALL_S, dbhz))
+                schedule = levels(*falling(dbhz))
                 short = (f"seconds={_QUICK_S}",) if quick else ()
                 with recorded(SCENARIO, seed, motion(slope), schedule, *short) as recording:
                     runs.append(heard(recording, *((_GENTLE,) if slope in _RATES_HZPS else ())))
