@@ -44,10 +44,13 @@ _GENTLE: Final = "tracking.carrier.long_update.dynamics=0.1"  # told of 8 Hz/s²
 _INSTANTS: Final = 10  # of an update
 _SLIP_CYCLES: Final = 0.25
 _STRONG_DBHZ: Final = 45.0
-_FALL_S: Final = (1.5, 5.5)  # from strong to the level of LU-SENS, in steps of 1 dB
-# By then the mean of the last second knows of it; before, the receiver takes phases for those of a
-# signal about to be lost, and puts none out.
-_WEAK_S: Final = 7.0
+# From strong to the level of LU-SENS: slower than the C/N0 of the last second, which falls by
+# 4.3 dB/s at most. A signal that is well below it is taken for one about to be lost.
+_FALL_S: Final = 1.5
+_FALL_DBPS: Final = 2.0
+_KNOWN_S: Final = 2.0  # after the fall
+_HELD_S: Final = 17.0
+_QUICK_HELD_S: Final = 3.0
 _LEVELS: Final = ((0.0, 7.0, 40.0), (7.0, 14.0, 35.0), (14.0, 24.0, 30.0))  # LU-PHASE: s, dB-Hz
 _SETTLED_S: Final = 2.0  # of each before it counts
 _PUBLISHED_DBHZ: Final = {64.0: 23.0, 8.0: 21.0}
@@ -115,10 +118,10 @@ def levels(*points: tuple[float, float]) -> str:
 
 
 def falling(dbhz: float) -> list[tuple[float, float]]:
-    """Levels over time of LU-SENS: strong, then down to one."""
+    """Levels over time of LU-SENS: strong, then down to one in steps of about 1 dB."""
     steps = round(_STRONG_DBHZ - dbhz)
-    times_s = np.linspace(*_FALL_S, steps)
     down = np.linspace(_STRONG_DBHZ, dbhz, steps + 1)[1:]
+    times_s = _FALL_S + (_STRONG_DBHZ - down) / _FALL_DBPS
     return [(0.0, _STRONG_DBHZ), *zip(times_s.round(3).tolist(), down.tolist(), strict=True)]
 
 
@@ -224,13 +227,15 @@ def measure_sensitivity(quick: bool, seeds: Sequence[int]) -> list[Figure]:
         for dbhz in (level,) if quick else (level, level - _BELOW_DB):
             runs = []
             for seed in seeds[:1] if quick else seeds:
-                schedule = levels(*falling(dbhz))
-                short = (f"seconds={_QUICK_S}",) if quick else ()
-                with recorded(SCENARIO, seed, motion(slope), schedule, *short) as recording:
+                schedule = falling(dbhz)
+                weak_s = schedule[-1][0] + _KNOWN_S
+                seconds = weak_s + (_QUICK_HELD_S if quick else _HELD_S)
+                told = (motion(slope), levels(*schedule), f"seconds={seconds}")
+                with recorded(SCENARIO, seed, *told) as recording:
                     runs.append(heard(recording, *((_GENTLE,) if slope in _RATES_HZPS else ())))
-            held = sum(run.held(_WEAK_S) for run in runs)
-            weak = [run.error_cycles[run.within(_WEAK_S, run.length_s)] for run in runs]
-            seconds = sum(run.seconds(_WEAK_S, run.length_s) for run in runs)
+            held = sum(run.held(weak_s) for run in runs)
+            weak = [run.error_cycles[run.within(weak_s, run.length_s)] for run in runs]
+            seconds = sum(run.seconds(weak_s, run.length_s) for run in runs)
             figures.append(
                 Figure(
                     f"{slope:g} Hz/s², {dbhz:g} dB-Hz: held without a slip",
