@@ -11,12 +11,12 @@ from deepgnss.io.config.imu_grade import imu_grade
 from deepgnss.theory.inertial import error_sums
 from deepgnss.theory.multipath import triangle
 from deepgnss.theory.open_loop import way_bound
-from deepgnss.theory.reach import CODE_SIGMAS, FREQUENCY_SIGMAS, reach
+from deepgnss.theory.reach import SIGMAS, reach
 
 
 def test_products_of_sums_tell_a_frequency_within_reach_and_not_beyond() -> None:
     sum_s = 0.005
-    edge_hz = FREQUENCY_SIGMAS * reach(sum_s, 0.25).frequency_hz
+    edge_hz = SIGMAS * reach(sum_s, 0.25).frequency_hz
     for off_hz, told in ((0.98 * edge_hz, True), (1.02 * edge_hz, False)):
         sums = np.exp(2j * np.pi * off_hz * sum_s * np.arange(8))
         found_hz = cmath.phase(np.vdot(sums[:-1], sums[1:])) / (2.0 * np.pi * sum_s)
@@ -25,7 +25,7 @@ def test_products_of_sums_tell_a_frequency_within_reach_and_not_beyond() -> None
 
 @pytest.mark.parametrize("spacing", [0.1, 0.25, 1.0])
 def test_early_and_late_tell_the_side_within_reach_and_not_beyond(spacing: float) -> None:
-    edge = CODE_SIGMAS * reach(0.02, spacing).code_chips
+    edge = SIGMAS * reach(0.02, spacing).code_chips
 
     def told(off: float) -> float:
         early, late = triangle(np.array([off - 0.5 * spacing, off + 0.5 * spacing]))
