@@ -224,10 +224,10 @@ def test_kernel_twin() -> None:
 
 
 def test_cost() -> None:
-    """In units of some 11 ms: a cold search of 32 PRNs within 1.1 s, a predicted one in 15 ms."""
+    """In units of some 11 ms: a cold search of 32 PRNs within 1.1 s, a predicted one in 22 ms."""
     rng = np.random.default_rng(11)
     sums = running_sums(sky(info(4.0e6), [Sent(1, 500.0, 3.0, 45.0)], 0.0201, rng), CARRIER_HZ)
     settings, window = AcquisitionSettings(), SearchWindow(500.0, 100.0, 3.0, 10.0)
     search(sums, 0, L1CA, 1, settings, window)  # compiles
     assert cost(lambda: cold_search(sums, 0, L1CA, settings), 3) < 100.0
-    assert cost(lambda: search(sums, 0, L1CA, 1, settings, window), 10) < 1.4
+    assert cost(lambda: search(sums, 0, L1CA, 1, settings, window), 10) < 2.0
