@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from deepgnss.core.errors import NumericalError
 from deepgnss.core.records import FloatArray
@@ -66,7 +66,7 @@ def _factor(innovation: FloatArray, S: FloatArray) -> tuple[FloatArray, bool]:
 @lru_cache(maxsize=64)
 def innovation_limit(degrees: int, false_alarm: float) -> float:
     """NIS that a sound measurement of so many components exceeds with the given probability."""
-    return float(chi2.isf(false_alarm, degrees))
+    return float(chdtri(degrees, false_alarm))
 
 
 def check_covariance(P: FloatArray) -> None:

@@ -17,7 +17,7 @@ and GEO satellites D2 (no secondary code, 2 ms). What may be relied on:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Final, NamedTuple
@@ -102,12 +102,14 @@ _CA_DELAY_CHIPS = dict(zip((*range(1, 33), *range(120, 159), *range(193, 203)), 
 ), strict=True))  # fmt: skip
 
 
-def _shift_register(feedback: tuple[int, ...], register: Sequence[int]) -> NDArray[np.int8]:
+@cache
+def _shift_register(feedback: tuple[int, ...], register: tuple[int, ...]) -> NDArray[np.int8]:
     """One period of a maximal register's last stage, as logic levels; `register` is its start."""
     out = np.empty(2 ** len(register) - 1, dtype=np.int8)
     for chip in range(out.size):
         out[chip] = register[-1]
-        register = [sum(register[tap - 1] for tap in feedback) % 2, *register[:-1]]
+        register = (sum(register[tap - 1] for tap in feedback) % 2, *register[:-1])
+    out.flags.writeable = False
     return out
 
 
@@ -121,8 +123,8 @@ def _chips(levels: NDArray[np.int8]) -> NDArray[np.int8]:
 @cache
 def ca_code(prn: int) -> NDArray[np.int8]:
     """C/A code of a PRN as ±1 (logic 0 = +1), shape (1023,) (IS-GPS-200 3.2.1.3)."""
-    g1 = _shift_register((3, 10), [1] * 10)
-    g2 = np.roll(_shift_register((2, 3, 6, 8, 9, 10), [1] * 10), _CA_DELAY_CHIPS[prn])
+    g1 = _shift_register((3, 10), (1,) * 10)
+    g2 = np.roll(_shift_register((2, 3, 6, 8, 9, 10), (1,) * 10), _CA_DELAY_CHIPS[prn])
     return _chips(g1 ^ g2)
 
 
