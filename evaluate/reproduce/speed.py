@@ -155,9 +155,9 @@ def measure_channel(quick: bool, seeds: Sequence[int]) -> list[Figure]:
 
 
 def measure_everything(quick: bool, seeds: Sequence[int]) -> list[Figure]:
-    """SP-E2E: two wide streams, 24 satellites, aided, all outputs, two threads; quick: 14 s."""
-    short_s = 9.0 if quick else 12.0
-    with recorded("everything", seeds[0], *(("seconds=14",) if quick else ())) as recording:
+    """SP-E2E: two wide streams, 24 satellites, aided, all outputs, two threads; quick: 11 s."""
+    short_s = 7.0 if quick else 12.0
+    with recorded("everything", seeds[0], *(("seconds=11",) if quick else ())) as recording:
         length_s = recording.scenario.seconds
         position = f"position={list(recording.place)}"
 
