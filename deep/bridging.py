@@ -31,7 +31,6 @@ from deepgnss.theory.tracking_error import pll_thermal_sigma_cycles
 _LIMIT: Final = 4.0  # σ from which a phase is left out
 _JUMP: Final = 5.0  # σ from which what most have in common is a jump
 _MANY: Final = 5  # phases whose agreement says more than the navigation
-_FLOOR_CYCLES: Final = 0.008  # of a tracked phase: reflections, the loop's own errors
 _WALK_MPRTS: Final = 3e-4  # of an arc's constant: satellite clocks
 _ATMOSPHERE: Final = (1e-4, 0.3)  # m/s, share of the modelled rate: 1σ of what is not modelled
 _REST_M: Final = 1e-3  # by which an antenna at rest moves
@@ -50,12 +49,13 @@ class Loop(NamedTuple):
 
     bandwidth_hz: float
     coherent_s: float
+    floor_cycles: float  # 1σ beside the thermal noise
 
     def sigma_cycles(self, cn0_dbhz: float, interval_s: float) -> float:
         """1σ of phases an interval apart, as if they were independent of each other."""
         thermal = pll_thermal_sigma_cycles(cn0_dbhz, self.bandwidth_hz, self.coherent_s)
         alike = max(1.0, 0.5 / (self.bandwidth_hz * interval_s))
-        return math.hypot(thermal, _FLOOR_CYCLES) * math.sqrt(alike)
+        return math.hypot(thermal, self.floor_cycles) * math.sqrt(alike)
 
 
 class Tag(NamedTuple):

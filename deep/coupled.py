@@ -285,7 +285,8 @@ def couple(config: Config, plan: RunPlan, clock: ReceiverClock) -> CoupledNaviga
     notes = (*log.faults, *(f"{log.path}: {line}" for line in found), *faults)
     aider = Aider(plan.settings.pvt, settings.lever_b_m)
     carrier = carrier_loop(plan.settings.tracking.carrier).settled
-    bridge = Bridge(config.oscillator.oscillator(), Loop(carrier.bandwidth_hz, carrier.interval_s))
+    loop = Loop(carrier.bandwidth_hz, carrier.interval_s, config.deep.phase_floor)
+    bridge = Bridge(config.oscillator.oscillator(), loop)
     outliers, screening = config.positioning.outliers, None
     if outliers.enabled:
         own = ScreenSettings(outliers.alpha, outliers.threshold)

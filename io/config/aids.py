@@ -176,3 +176,5 @@ class DeepConfig(Section):
     """What the INS filter takes from the receiver: position and velocity, or ranges and rates."""
     epoch: Annotated[float, Quantity(0.01, 1.0, "s")] = 0.1
     """Navigation epoch, s: how often the loop through the INS closes."""
+    phase_floor: Annotated[float, Quantity(0.0, 0.1, "cycle")] = 0.008
+    """1σ of a tracked phase beside thermal noise: reflections, the loop's own errors, cycles."""

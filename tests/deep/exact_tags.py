@@ -34,7 +34,7 @@ from deepgnss.theory.tracking_error import pll_thermal_sigma_cycles
 
 START = GpsTime(2290, 382_300.0)
 STEP_S = 0.1
-LOOP = Loop(7.0, 0.02)
+LOOP = Loop(7.0, 0.02, 0.008)
 SKYLINE_TAGS = 10  # tags that share one
 SIGMAS = InitialSigmas(1.0, 0.02, 5e-4, 5e-3)
 Blocked = Callable[[str, float], bool]
@@ -174,7 +174,7 @@ class Tags:
             jumped = self.times_s > clock_jump[0]
             phases[e.satellite] += e.signal.id.carrier_hz * clock_jump[1] * jumped
         cn0 = 45.0 if self.cn0_dbhz is None else self.cn0_dbhz
-        noise = 0.0 if self.cn0_dbhz is None else pll_thermal_sigma_cycles(cn0, *LOOP)
+        noise = 0.0 if self.cn0_dbhz is None else pll_thermal_sigma_cycles(cn0, *LOOP[:2])
         repaired = dict.fromkeys(phases, 0.0)
         arcs = dict.fromkeys(phases, 1)
         coasted = dict.fromkeys(phases, 0.0)
