@@ -14,7 +14,7 @@ import numpy as np
 
 from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade
 from deepgnss.core.time import GpsTime
-from deepgnss.deep.navigation import NavigationState
+from deepgnss.deep.navigation import NavigationState, lasting_doppler_s
 from deepgnss.deep.time_offset import CarrierLoop, Offset, OffsetEstimator, fit_stretch
 from deepgnss.deep.watch import Turn, Watch, bias_finding, travel_finding
 from deepgnss.ins import Estimate, fix_of
@@ -97,7 +97,8 @@ class Guard:
         self._sideways = [at_s for at_s in self._sideways if now_s - at_s < _SIDEWAYS_S]
         if len(self._sideways) >= _SIDEWAYS_OFTEN:  # an attitude found by course alone means little
             sigma_mps = np.inf
-        turns = self._watch.take(innovations, sigma_mps)
+        stands_s = max((lasting_doppler_s(fix) for fix in fixes), default=0.0)
+        turns = self._watch.take(innovations, sigma_mps, stands_s)
         for event in told:
             if event.what == "stopped":
                 contradicted = "innovation" in event.reason

@@ -170,7 +170,7 @@ class Navigation:
             apart_s = self._apart_s(fix.epoch.time)
             gnss = fix_of(fix.solution) if fix.solution.valid else None
             if gnss is not None:
-                gnss = _weighed(gnss, apart_s, _lasting_doppler_s(fix))
+                gnss = _weighed(gnss, apart_s, lasting_doppler_s(fix))
             if gnss is not None:
                 self._remember(gnss)
             time_s = fix.epoch.time.since(self._inputs.block.origin)
@@ -343,7 +343,7 @@ def _antenna(estimate: Estimate, point: Point) -> Antenna:
     return Antenna(point.r_e_m, to_e @ point.v_n_mps, H @ estimate.P @ H.T)
 
 
-def _lasting_doppler_s(fix: Fix) -> float:
+def lasting_doppler_s(fix: Fix) -> float:
     """For how long a tag's Dopplers are the same measurements, carried on."""
     used = set(fix.solution.used)
     return max((o.doppler_s for o in fix.epoch.observations if o.satellite in used), default=0.0)

@@ -32,6 +32,7 @@ FASTEST_SIGMA_MPS: Final = 0.2
 _FEWEST = 3  # epochs on which trust is founded
 _KEPT = 2000  # epochs, more than the longest limit's at 25 Hz
 _CAP = 10.0  # one wild fix is not a wrong log
+_APART_S = 0.11  # from the last tag at which a measurement stands to the first of the next one
 _PLACING = ("position", "velocity", "pseudorange", "range rate")
 
 
@@ -64,6 +65,8 @@ class Watch:
     trusted: bool = False
     distrusts: int = 0  # how often trust, or the navigation itself, was lost by contradiction
     _origin: GpsTime | None = None
+    _same: list[float] = field(default_factory=list)  # strains of a measurement that still stands
+    _same_since: GpsTime | None = None
     _times_s: list[float] = field(default_factory=list)  # since `_origin`
     _strains: list[float] = field(default_factory=list)
     _sums: list[float] = field(default_factory=lambda: [0.0])  # of the strains up to each
@@ -80,16 +83,25 @@ class Watch:
             self.distrusts += 1
         self.trusted = False
         self._times_s, self._strains, self._sums = [], [], [0.0]
+        self._same, self._same_since = [], None
         self._since_s = None
 
-    def take(self, innovations: Sequence[Innovation], velocity_sigma_mps: float) -> list[Turn]:
+    def take(
+        self, innovations: Sequence[Innovation], velocity_sigma_mps: float, stands_s: float = 0.0
+    ) -> list[Turn]:
         """Take innovations in, in order of time; where trust began or ended.
 
-        velocity_sigma_mps: 1σ per axis of the antenna's velocity as it stands.
+        velocity_sigma_mps: 1σ per axis of the antenna's velocity as it stands. stands_s: for which
+        a Doppler is the same measurement, carried on: its epochs count as one.
         """
         turns = []
         for time, strain in _by_epoch(innovations):
-            now_s = self._note(time, strain)
+            self._same.append(strain)
+            self._same_since = self._same_since or time
+            if time.since(self._same_since) < stands_s - _APART_S:
+                continue
+            now_s = self._note(time, float(np.mean(self._same)))
+            self._same, self._same_since = [], None
             worst = self._exceeded(now_s)
             if worst:
                 self._since_s = None

@@ -29,11 +29,16 @@ def _innovations(time_s: float, nis: float) -> list[Innovation]:
 
 
 def _run(
-    watch: Watch, from_s: float, until_s: float, nis: float, step_s: float = 0.1
+    watch: Watch,
+    from_s: float,
+    until_s: float,
+    nis: float,
+    step_s: float = 0.1,
+    stands_s: float = 0.0,
 ) -> list[Turn]:
     turns = []
     for time_s in np.arange(from_s, until_s, step_s):
-        turns += watch.take(_innovations(float(time_s), nis), SURE_MPS)
+        turns += watch.take(_innovations(float(time_s), nis), SURE_MPS, stands_s)
     return turns
 
 
@@ -52,6 +57,19 @@ def test_trust_is_earned_lost_and_earned_again_with_growing_patience() -> None:
         assert again.trusted
         assert again.time.since(lost.time) > PATIENCE_S * 3.0**turn
         assert watch.distrusts == turn
+
+
+def test_a_doppler_that_stands_for_half_a_second_is_one_measurement() -> None:
+    """Three wild windows in a row are not a wrong log; more of them are."""
+    ends = {}
+    for stands_s in (0.0, 0.5):
+        watch = Watch()
+        _run(watch, 0.0, 20.0, 2.5, stands_s=stands_s)
+        assert watch.trusted
+        turns = _run(watch, 20.0, 40.0, 60.0, stands_s=stands_s)
+        ends[stands_s] = next(turn.time.since(START) for turn in turns if not turn.trusted) - 20.0
+    assert ends[0.0] < 1.2
+    assert 1.5 < ends[0.5] < 5.0
 
 
 def test_a_log_that_never_fits_is_never_trusted() -> None:
