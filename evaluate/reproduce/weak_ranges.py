@@ -26,7 +26,9 @@ CHIP_M: Final = SPEED_OF_LIGHT_MPS / GPS_L1CA.chip_rate_hz
 _CORRELATION: Final = 0.458  # ∫ρ²dτ · B of a loop of order 2 with damping √½
 _SETTINGS: Final = (
     f"tracking.code={{order: 2, bandwidth: [3.0, 1.0, {BANDWIDTH_HZ}], spacing: {SPACING_CHIPS}}}",
-    "tracking.frequency={window: 0.512}",
+    # Aiding leaves no steady change of frequency to follow, but in a turn of 2 g what the unit's
+    # heading is wrong by: order 2, slower, falls out of the lines it searches.
+    "tracking.frequency={window: 0.512, order: 1, gain: 0.7}",
     "output.interval=1.0",
 )
 _FORGOTTEN_S: Final = 60.0  # after the strong start: six times what the code loop averages over
