@@ -52,8 +52,8 @@ class Accounts:
     def tracked(self, report: ChannelReport) -> None:
         """Note the strength a channel sees."""
         outcome = self._outcomes[report.satellite]
-        cn0 = max(report.cn0_dbhz, outcome.cn0_dbhz or 0.0)
-        self._outcomes[report.satellite] = replace(outcome, cn0_dbhz=cn0)
+        if outcome.cn0_dbhz is None or report.cn0_dbhz > outcome.cn0_dbhz:
+            self._outcomes[report.satellite] = replace(outcome, cn0_dbhz=report.cn0_dbhz)
 
     def solved(self, solution: NavSolution) -> None:
         """Note who was in a position, and why others were not."""

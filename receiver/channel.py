@@ -39,6 +39,7 @@ from deepgnss.receiver.locks import (
     FAINT_S,
     NO_LOCK,
     USUAL_S,
+    LockState,
     cn0_dbhz,
     dark,
     restart_phase,
@@ -103,13 +104,15 @@ class Channel:
         self.half_cycle: float | None = None  # 0 or ½ cycle once the polarity is known
         self.known: KnownSymbols | None = None  # symbols that need not be guessed
         self.slips = slips
-        self.locks = NO_LOCK
+        self._locks = NO_LOCK
+        self.cn0_dbhz = 0.0  # of about the last second
         self._correlator = correlator
         self._runs = code_runs(signal.id.name, prn)
         half = settings.spacing_chips / 2.0
         self.taps_chips: FloatArray = np.array([half, 0.0, -half])
         self._carriers = CarrierTracking(signal, settings)
         longest = self._carriers.longest
+        self._settles_s = _PULLED_IN / self._carriers.settled.bandwidth_hz
         self._nco = Generators(signal, sample_rate_hz, longest, sample, code_chips, doppler_hz)
         sample_chips = signal.id.chip_rate_hz / sample_rate_hz
         self._margin = 4 + int(2.0 * settings.spacing_chips / sample_chips)
@@ -191,14 +194,14 @@ class Channel:
             self._move_on(NO_CORRECTION, NO_CORRECTION, middle_s, end_s, aiding)
             self._remember(began)
             self._nco.history.append(self._interval())
-            self._intake.go_on(self._most)
+            self._intake.go_on(self._most(self._full))
             return
         seen = self._accumulate()
         self._steer(seen, middle_s, end_s, aiding)
         fell = self._detect(seen)
         self._collect_symbols(seen)
         if self.phase_valid and fell:
-            self._nco.revise(self._intake.commands, lambda one: one._replace(phase_valid=False))
+            self._nco.take_back_phase(self._intake.commands)
         self._remember(began)
         self._decide(seen)
         self._nco.history.append(self._interval())
@@ -206,17 +209,16 @@ class Channel:
 
     def _plan(self) -> None:
         """Length of the next interval in code periods, and whether its signs are known."""
-        periods = self._full
+        full = periods = self._full
         if self.edge is not None:
             to_edge = (self.edge - self.periods) % self.signal.symbol_periods
-            periods = to_edge % self._full or self._full
+            periods = to_edge % full or full
         self._coherent = self.edge is not None
-        self._intake.begin(periods, self._most)
+        self._intake.begin(periods, self._most(full))
 
-    @property
-    def _most(self) -> int:
+    def _most(self, full: int) -> int:
         """Code periods of a command: aided, there is one for every update."""
-        return self.signal.update_periods if self.aided else self._full
+        return self.signal.update_periods if self.aided else full
 
     def _times(self) -> tuple[float, float]:
         """The interval's middle and the command's end, s after the command's sample."""
@@ -263,15 +265,7 @@ class Channel:
             edge_known = self.edge is not None
             carrier = self._carriers.correct(self.mode, seen, edge_known=edge_known)
             code = self._code_loop.over(seen.seconds).correct(seen)
-        here = self.command.sample
-
-        def put_right(interval: Interval) -> Interval:
-            later_s = (here - interval.command.sample) / self._nco.rate_hz
-            return interval._replace(
-                correction=carrier, middle_s=middle_s + later_s, window=self._heard
-            )
-
-        self._nco.revise(self._intake.commands, put_right)
+        self._nco.correct(self._intake.commands, carrier, middle_s, self._heard)
         count = seen.periods.shape[0]
         share = (
             0.3
@@ -308,8 +302,7 @@ class Channel:
     def _learn(self, run: Run) -> None:
         """See what a command of the loops did beyond what was predicted of it."""
         self._open.saw(run)
-        pulled_in_s = _PULLED_IN / self._carriers.settled.bandwidth_hz
-        if self.mode is Mode.PHASE and self.phase_valid and self.seconds_in_mode > pulled_in_s:
+        if self.mode is Mode.PHASE and self.phase_valid and self.seconds_in_mode > self._settles_s:
             self._open.learn_phase(run)
         elif self.mode is Mode.WEAK:
             self._open.learn_frequency(run)
@@ -462,6 +455,8 @@ class Channel:
 
     def _decide(self, seen: Accumulated) -> None:
         match decide(self, seen.period_s):
+            case None:
+                pass
             case Go(mode, reason):
                 self._go(mode, reason)
             case Shift(off_hz):
@@ -690,9 +685,14 @@ class Channel:
         return self._nco.at(sample)
 
     @property
-    def cn0_dbhz(self) -> float:
-        """C/N0 of about the last second."""
-        return cn0_dbhz(self.locks, self.signal.period_s)
+    def locks(self) -> LockState:
+        """What its lock detectors say."""
+        return self._locks
+
+    @locks.setter
+    def locks(self, state: LockState) -> None:
+        self._locks = state
+        self.cn0_dbhz = cn0_dbhz(state, self.signal.period_s)
 
     @property
     def _coherent_s(self) -> float:

@@ -49,6 +49,8 @@ class ReceiverClock:
 
     def at_rate(self, sample_rate_hz: Fraction) -> ReceiverClock:
         """The same clock for another stream, sampled from the same instant on."""
+        if sample_rate_hz == self.sample_rate_hz:
+            return self
         return replace(self, sample_rate_hz=sample_rate_hz)
 
     def error_s(self, elapsed_s: float) -> float:
@@ -66,19 +68,22 @@ class ReceiverClock:
 
     def instant(self, tag_ns: int) -> SampleInstant:
         """Where on the sample axis a GPST tag lies."""
-        nominal = Fraction(tag_ns - self.origin_ns, NS)
-        tag_s = float(nominal)
+        elapsed_ns, rate = tag_ns - self.origin_ns, self.sample_rate_hz
+        tag_s = elapsed_ns / NS
         error_s = self.error_s(tag_s + self.error_s(tag_s))
-        exact = nominal * self.sample_rate_hz
-        index = math.floor(exact)
-        samples = float(exact - index) + error_s * float(self.sample_rate_hz)
+        parts = NS * rate.denominator  # of a sample: in whole ones nothing is rounded
+        index, rest = divmod(elapsed_ns * rate.numerator, parts)
+        samples = rest / parts + error_s * (rate.numerator / rate.denominator)
         whole = math.floor(samples)
         return SampleInstant(index + whole, samples - whole)
 
     def lag_s(self, tag_ns: int, instant: SampleInstant) -> float:
         """Tag − origin − instant/rate, s, without the rounding of large numbers."""
-        exact = Fraction(tag_ns - self.origin_ns, NS) - instant.sample / self.sample_rate_hz
-        return float(exact) - instant.fraction / float(self.sample_rate_hz)
+        rate = self.sample_rate_hz
+        ahead = (tag_ns - self.origin_ns) * rate.numerator - instant.sample * rate.denominator * NS
+        return ahead / (rate.numerator * NS) - instant.fraction / (
+            rate.numerator / rate.denominator
+        )
 
     def steered(
         self, tag_ns: int, bias_s: float, drift_sps: float, *, first: bool

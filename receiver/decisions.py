@@ -13,7 +13,6 @@ from scipy.special import gammainccinv
 
 from deepgnss.receiver.locks import (
     LockState,
-    cn0_dbhz,
     faint_before_dbhz,
     faint_cn0_dbhz,
     false_lock_side,
@@ -70,6 +69,7 @@ class Tracked(Protocol):
     settings: TrackingSettings
     mode: Mode
     locks: LockState
+    cn0_dbhz: float
     edge: int | None
     frequency_error_hz: float
     phase_valid: bool
@@ -108,7 +108,7 @@ def decide(channel: Tracked, period_s: float) -> Verdict:
     """What to do after an interval: at most one thing."""
     settings = channel.settings
     here_s = channel.seconds_in_mode
-    cn0 = cn0_dbhz(channel.locks, period_s)
+    cn0 = channel.cn0_dbhz
     fast = fast_cn0_dbhz(channel.locks, period_s)
     weak = max(
         settings.frequency_threshold_dbhz,

@@ -6,13 +6,18 @@ begins within a code period, which is counted since the channel's start.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 from deepgnss.core.records import NcoCommand
-from deepgnss.receiver.interval import Interval, turned
+from deepgnss.receiver.interval import Heard, Interval, turned
 from deepgnss.receiver.signals import Signal
-from deepgnss.receiver.trackers import Correction, NcoState, advance, corrected
+from deepgnss.receiver.trackers import (
+    NO_CORRECTION,
+    Correction,
+    NcoState,
+    advance,
+    corrected,
+)
 
 _HISTORY_UPDATES = 3  # commands kept for observables of the epoch before
 
@@ -97,7 +102,8 @@ class Generators:
         elapsed_s = whole / self.rate_hz
         before = advance(self.carrier, elapsed_s)
         after = corrected(before, carrier, elapsed_s - middle_s)
-        after = corrected(after, foreseen, elapsed_s - end_s)
+        if foreseen is not NO_CORRECTION:
+            after = corrected(after, foreseen, elapsed_s - end_s)
         return Run(
             whole,
             elapsed_s,
@@ -176,10 +182,22 @@ class Generators:
         oldest = self.command.sample - self._kept
         self.history = [i for i in self.history if i.command.sample >= oldest]
 
-    def revise(self, commands: int, change: Callable[[Interval], Interval]) -> None:
-        """Change what is remembered of the last commands."""
-        first = len(self.history) - commands
-        self.history[first:] = [change(interval) for interval in self.history[first:]]
+    def correct(self, commands: int, carrier: Correction, middle_s: float, window: Heard) -> None:
+        """Note what the last commands were found to lack.
+
+        middle_s: to which the correction refers, after the last command.
+        """
+        for k in range(-commands, 0):
+            interval = self.history[k]
+            later_s = self.seconds_since(interval.command.sample)
+            self.history[k] = interval._replace(
+                correction=carrier, middle_s=middle_s + later_s, window=window
+            )
+
+    def take_back_phase(self, commands: int) -> None:
+        """The last commands have no phase after all."""
+        for k in range(-commands, 0):
+            self.history[k] = self.history[k]._replace(phase_valid=False)
 
     def at(self, sample: int) -> Interval:
         """The interval that holds at a sample of the epoch just run."""

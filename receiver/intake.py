@@ -17,8 +17,9 @@ class Intake:
         self.begin(1, 1)
 
     def begin(self, periods: int, most: int) -> None:
-        """A new interval of so many code periods, with a command for so many at most."""
+        """A new interval of so many code periods, `whole`, with a command for `most` of them."""
         self.taken: ComplexArray = np.empty((periods, self._taps), dtype=np.complex128)
+        self.whole = periods
         self.filled = self.planned = self.commands = 0
         self.go_on(most)
 
@@ -37,11 +38,6 @@ class Intake:
     def turn(self, cycles: float) -> None:
         """The carrier generator was turned."""
         self.taken[: self.filled] *= np.exp(-2j * np.pi * math.fmod(cycles, 1.0))
-
-    @property
-    def whole(self) -> int:
-        """Code periods of the interval."""
-        return int(self.taken.shape[0])
 
     @property
     def skip(self) -> int:

@@ -13,15 +13,11 @@ class Leading:
 
     def __init__(self, sample_rate_hz: float) -> None:
         self.now = NO_AIDING
+        self.aided = False  # whether predictions lead the generators
         self.led_hz = 0.0  # the part of the carrier's frequency that is the prediction's
         self._led_hzps = 0.0
         self._told_by: AidingSource = unaided
         self._rate = sample_rate_hz
-
-    @property
-    def aided(self) -> bool:
-        """Whether predictions lead the generators."""
-        return self.now != NO_AIDING
 
     def rate_anew(self) -> float:
         """Frequency rate for a carrier that forgets its own: the prediction's, Hz/s."""
@@ -49,7 +45,8 @@ class Leading:
         """
         was, aid = self.now, source(sample + samples)
         told_before, self.now, self._told_by = self._told_by, aid, source
-        if NO_AIDING in (was, aid):  # it begins or ends: a loop with a rate of its own goes on
+        led_before, self.aided = self.aided, aid != NO_AIDING
+        if not (led_before and self.aided):  # it begins or ends: a loop with a rate goes on
             self.led_hz, self._led_hzps = aid.frequency_hz, aid.rate_hzps
             return carrier if own_rate else carrier._replace(rate=aid.rate_hzps)
         if mode in _FOLLOWING and source is not told_before:

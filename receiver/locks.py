@@ -18,7 +18,7 @@ FAST_S = 0.1  # averaging that notices a blockage
 _RECENT = 5  # intervals that notice the blockage of a strong signal
 _FAINT = 30  # intervals that notice that a weak one went or came
 _INTERVAL_S = 0.02
-_PLAIN_DBHZ = 32.0  # of a signal whose absence is seen in a single interval …
+_PLAIN_HZ = 10.0**3.2  # C/N0 of a signal whose absence is seen in a single interval …
 _DARK = 0.25  # … by its power
 PHASE_S = 0.4  # averaging of what tells phase lock from false lock
 
@@ -128,33 +128,42 @@ def update_powers(
     of the scatter about the mean; the ratio of narrow- to wide-band power, T(5.9–5.15), written
     so that it stays exact at high C/N0. Across symbol edges the products of neighbours serve.
     """
-    count = seen.periods.shape[0]
-    if count < 2:
+    if seen.periods.shape[0] < 2:
         return state
-    if seen.coherent:
-        size = min(symbol_periods or count, count)
-        wide, narrow = interval_powers(seen.periods, size)
-        sums = count // size
-        noise = (wide - narrow) / (count - sums)
-        signal = (narrow / sums - noise) / size
-    else:
-        wide, once, twice = neighbour_powers(seen.periods)
-        # Of unknown signs: E z² = A⁴, noise has no mean.
-        signal = math.sqrt(max(twice / (count - 1), 0.0)) if seen.blind else once / (count - 1)
-        noise = max(wide / count - max(signal, 0.0), 0.0)
+    phase = state.phase, state.phase_seconds, state.shifted
+    return LockState(*_averages(state, seen, slow_s, fast_s, symbol_periods), *phase)
+
+
+def _averages(
+    state: LockState, seen: Accumulated, slow_s: float, fast_s: float, symbol_periods: int
+) -> tuple[float, float, float, tuple[float, ...], float]:
+    """The first five of a new `LockState`."""
+    signal, noise = _powers(seen, symbol_periods)
     seconds = state.seconds + seen.seconds
     slow = seen.seconds / min(seconds, slow_s)
     fast = seen.seconds / min(seconds, fast_s)
-    return LockState(
+    return (
         seconds,
         state.signal + slow * (signal - state.signal),
         state.fast_signal + fast * (signal - state.fast_signal),
         (*state.recent, signal)[-_FAINT:],
         state.noise + slow * (noise - state.noise),
-        state.phase,
-        state.phase_seconds,
-        state.shifted,
     )
+
+
+def _powers(seen: Accumulated, symbol_periods: int) -> tuple[float, float]:
+    """Power of signal and noise in a code period of an interval."""
+    count = seen.periods.shape[0]
+    if seen.coherent:
+        size = min(symbol_periods or count, count)
+        wide, narrow = interval_powers(seen.periods, size)
+        sums = count // size
+        noise = (wide - narrow) / (count - sums)
+        return (narrow / sums - noise) / size, noise
+    wide, once, twice = neighbour_powers(seen.periods)
+    # Of unknown signs: E z² = A⁴, noise has no mean.
+    signal = math.sqrt(max(twice / (count - 1), 0.0)) if seen.blind else once / (count - 1)
+    return signal, max(wide / count - max(signal, 0.0), 0.0)
 
 
 def update_locks(
@@ -171,9 +180,8 @@ def update_locks(
     count = seen.periods.shape[0]
     if count < 2:
         return state
-    state = update_powers(state, seen, fast_s=fast_s)
     if not (seen.coherent and seen.prompt):
-        return state
+        return update_powers(state, seen, fast_s=fast_s)
     phase_seconds = state.phase_seconds + seen.seconds
     gain = seen.seconds / min(phase_seconds, phase_s)
     double = (seen.prompt * seen.prompt).real / abs(seen.prompt) ** 2
@@ -187,11 +195,7 @@ def update_locks(
             keep * shifted[2] + gain * up,
         )
     return LockState(
-        state.seconds,
-        state.signal,
-        state.fast_signal,
-        state.recent,
-        state.noise,
+        *_averages(state, seen, USUAL_S, fast_s, 0),
         state.phase + gain * (double - state.phase),
         phase_seconds,
         shifted,
@@ -233,7 +237,7 @@ def dark(state: LockState, period_s: float) -> bool:
     At the least strength four sigma of the interval's noise lie between half the amplitude and
     all of it.
     """
-    strong = state.signal > 10.0 ** (0.1 * _PLAIN_DBHZ) * state.noise * period_s
+    strong = state.signal > _PLAIN_HZ * state.noise * period_s
     return strong and state.recent[-1] < _DARK * state.signal
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -49,8 +50,7 @@ def correlate_all(
     first: int,
     step: int,
     sample_rate_hz: float,
-    commands: FloatArray,
-    due: NDArray[np.int64],
+    due: FloatArray,
     edges: FloatArray,
     signs: FloatArray,
     runs: NDArray[np.int64],
@@ -59,12 +59,12 @@ def correlate_all(
 ) -> None:
     """`correlate_periods` of many channels: out (channels, most periods, taps).
 
-    commands: (channels, 7) as NcoCommand. due: (channels, 3): row of the code in edges, signs and
-    runs, periods to skip, periods to correlate.
+    due: (channels, 10): NcoCommand; row of the code in edges, signs and runs, periods to skip,
+    periods to correlate.
     """
     for k in range(due.shape[0]):
-        row, skip, periods = due[k]
-        c = commands[k]
+        c = due[k]
+        row, skip, periods = int(c[7]), int(c[8]), int(c[9])
         correlate_periods(
             packed,
             first,
@@ -97,14 +97,14 @@ def run_together(
 
 def _take_due(channels: Sequence[Channel], sums: RunningSums) -> None:
     """Give each channel the correlations of the code periods at hand."""
-    counts = [(channel, channel.due(sums.end)) for channel in channels]
-    wanting = [(channel, count) for channel, count in counts if count > 0]
+    end = sums.end
+    wanting = [(channel, count) for channel in channels if (count := channel.due(end)) > 0]
     if not wanting:
         return
     one = wanting[0][0]
     table = code_table(one.signal.id.name)
-    commands = np.array([channel.command for channel, _ in wanting])
-    due = np.array([(table.rows[c.prn], c.skip, count) for c, count in wanting])
+    told = ((*c.command, table.rows[c.prn], c.skip, count) for c, count in wanting)
+    due = np.array([*chain.from_iterable(told)], dtype=np.float64).reshape(len(wanting), -1)
     most = max(count for _, count in wanting)
     out = np.empty((len(wanting), most, one.taps_chips.size), dtype=np.complex128)
     correlate_all(
@@ -112,7 +112,6 @@ def _take_due(channels: Sequence[Channel], sums: RunningSums) -> None:
         sums.first,
         sums.step,
         sums.sample_rate_hz,
-        commands,
         due,
         table.edges,
         table.signs,

@@ -114,9 +114,12 @@ def advance(state: NcoState, seconds: float) -> NcoState:
 
 def corrected(state: NcoState, correction: Correction, since_middle_s: float) -> NcoState:
     """State with a correction that was due `since_middle_s` ago."""
-    moved = advance(NcoState(*correction), since_middle_s)
+    frequency, rate = correction.frequency, correction.rate
     return NcoState(
-        state.phase + moved.phase, state.frequency + moved.frequency, state.rate + moved.rate
+        state.phase
+        + (correction.phase + since_middle_s * (frequency + 0.5 * since_middle_s * rate)),
+        state.frequency + (frequency + since_middle_s * rate),
+        state.rate + rate,
     )
 
 
