@@ -231,15 +231,17 @@ class Aider:
         start_s = motion.origin.since(from_ns(clock.origin_ns)) + float(motion.time_s[0])
         step_s = float(motion.time_s[1] - motion.time_s[0])
         slower_mps = sights.toward_e[0] @ velocity_error_e_mps
+        reached = np.zeros((len(known), rates_mps.shape[1] + 1))
+        np.cumsum(rates_mps, axis=1, out=reached[:, 1:])
         made = {}
-        for (listener, _), one_mps, less_mps in zip(known, rates_mps, slower_mps, strict=True):
+        for (listener, _), one, less_mps in zip(known, reached, slower_mps, strict=True):
             carrier_hz = listener.signal.carrier_hz
             wavelength_m = SPEED_OF_LIGHT_MPS / carrier_hz
             made[listener.satellite] = Profile(
                 first=(start_s + clock.error_s(start_s)) * listener.rate_hz,
                 step=step_s * listener.rate_hz,
                 ahead=AHEAD_S / step_s,
-                cycles=(np.append(0.0, np.cumsum(one_mps)) * (-step_s / wavelength_m)).tolist(),
+                cycles=(one * (-step_s / wavelength_m)).tolist(),
                 clock_hz=float(-drift_sps * carrier_hz - less_mps / wavelength_m),
             )
         return made

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from deepgnss.core.errors import NumericalError
 from deepgnss.core.frames import C_ne
@@ -31,7 +30,7 @@ from deepgnss.ins import (
     fix_of,
     process_noise,
 )
-from deepgnss.ins.error_state import difference
+from deepgnss.ins.error_state import difference, side_by_side
 from deepgnss.ins.fixes import lasting_together, with_lasting_errors
 from deepgnss.ins.increments import SAME_INSTANT_S, between
 from deepgnss.ins.integration import Coupling, InsEvent, Instant
@@ -254,8 +253,8 @@ class Navigation:
             there.v_e_mps[1] - there.v_e_mps[0],
             start.H_position[:, :vehicle],
             end.H_position[:, :vehicle],
-            block_diag(way.Phi, np.eye(wheels)),
-            block_diag(way.Q, walked * np.eye(wheels)),
+            side_by_side(way.Phi, np.eye(wheels)),
+            side_by_side(way.Q, walked * np.eye(wheels)),
             np.concatenate([difference(after.ins, before.ins)[:inertial], turned]),
             coupling.at_rest(float(way.time_s[-1])),
             tuple(m._replace(H=m.H[:, :vehicle]) for m in coupling.measured if m.kind in ROLLING),

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from deepgnss.core.errors import NumericalError
 from deepgnss.core.records import FloatArray, ImuBlock
@@ -20,7 +19,7 @@ from deepgnss.core.time import GpsTime
 from deepgnss.ins import measurements as models
 from deepgnss.ins import ranging
 from deepgnss.ins.error_model import VELOCITY, ProcessNoise
-from deepgnss.ins.error_state import Estimate
+from deepgnss.ins.error_state import Estimate, side_by_side
 from deepgnss.ins.fixes import GnssFix, WheelSpeeds
 from deepgnss.ins.increments import SAME_INSTANT_S, rows
 from deepgnss.ins.measurements import Measurement
@@ -261,15 +260,15 @@ class Coupling:
             layout, passed_s, self.settings.clock, self.settings.odometer_walk_rts
         )
         if layout.extras:
-            stay = block_diag(np.eye(layout.inertial), Phi_extra)
-            added = block_diag(np.zeros((layout.inertial, layout.inertial)), Q_extra)
+            stay = side_by_side(np.eye(layout.inertial), Phi_extra)
+            added = side_by_side(np.zeros((layout.inertial, layout.inertial)), Q_extra)
             estimate = replace(
                 estimate,
                 extras=Phi_extra @ estimate.extras,
                 P=stay @ estimate.P @ stay.T + added,
             )
             self._navigator = replace(self._navigator, estimate=estimate)
-        self._Phi = block_diag(trajectory.Phi, Phi_extra) @ self._Phi
+        self._Phi = side_by_side(trajectory.Phi, Phi_extra) @ self._Phi
         self.carried, self.expected = trajectory, self._navigator.estimate
         if self.settings.keep_trajectories:
             self.trajectories.append(trajectory)
