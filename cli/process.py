@@ -188,7 +188,8 @@ class _Run:
             return self._is_consistent(outputs.code_minus_carrier.drift_mps)
         if not self.plan.scout:
             self._refuse_misdescribed(outcomes)
-        why = why_no_position(outcomes, self.plan.seconds)
+        given = bool(self.plan.knowledge.nav.ephemerides)
+        why = why_no_position(outcomes, self.plan.seconds, orbits_given=given)
         self.screen.note(f"error: {self.path}: no position: {why}")
         return False
 

@@ -233,8 +233,13 @@ def why_no_fix_table(outcomes: Sequence[SatelliteOutcome]) -> Table:
     return table
 
 
-def why_no_position(outcomes: Sequence[SatelliteOutcome], recording_s: float) -> str:
-    """Return in one line how far the satellites came in a run without a position."""
+def why_no_position(
+    outcomes: Sequence[SatelliteOutcome], recording_s: float, *, orbits_given: bool
+) -> str:
+    """Return in one line how far the satellites came in a run without a position.
+
+    orbits_given: a NAV file had the ephemerides.
+    """
     reached = dict.fromkeys(STAGES, 0)
     for outcome in outcomes:
         for stage in STAGES[: STAGES.index(outcome.stage) + 1]:
@@ -250,11 +255,13 @@ def why_no_position(outcomes: Sequence[SatelliteOutcome], recording_s: float) ->
             ("ephemeris", "with an ephemeris"),
         )
     )
-    wait = "" if reached["bit sync"] < 4 or reached["ephemeris"] >= 4 else _PATIENCE
+    if reached["bit sync"] < 4 or reached["ephemeris"] >= 4:
+        wait = ""
+    elif orbits_given:
+        wait = "; transmit times come with the head of a subframe, every 6 s"
+    else:
+        wait = "; ephemerides take 18 to 36 s of recording, or a NAV file (nav)"
     return f"satellites in {recording_s:.1f} s of recording: {counts}{wait}"
-
-
-_PATIENCE = "; ephemerides take 18 to 36 s of recording, or a NAV file (nav)"
 
 
 def _number(value: float | None) -> str:

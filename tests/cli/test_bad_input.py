@@ -272,3 +272,13 @@ def test_no_position_is_explained_and_not_a_success(drive: Path, tmp_path: Path)
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert (summary["epochs_fixed"], summary["first_fix_s"]) == (0, None)
     assert not list(tmp_path.glob("*.rnx"))
+
+
+def test_with_a_nav_file_it_is_the_transmit_time_that_is_waited_for(
+    drive: Path, tmp_path: Path
+) -> None:
+    run = process(drive, tmp_path, "nav=nav.rnx", "start=causal", "recording.duration=2.0")
+    assert run.exit_code == 1
+    (line,) = complaints(run)
+    assert "the head of a subframe" in line
+    assert "NAV file" not in line
