@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+import deepgnss.cli.main  # noqa: F401  (before numpy: one thread of linear algebra, as in a run)
+
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
