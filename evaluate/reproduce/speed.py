@@ -132,7 +132,7 @@ def _processed(recording: Path, config: Path, seconds: float, *settings: str) ->
 
 def measure_channel(quick: bool, seeds: Sequence[int]) -> list[Figure]:
     """SP-CH: what a longer run costs more, so that start and search do not count."""
-    short_s, long_s, runs = (4.0, 10.0, 1) if quick else (10.0, 30.0, 3)
+    short_s, long_s, runs = (10.0, 20.0, 1) if quick else (10.0, 30.0, 3)
     with TemporaryDirectory(prefix="deepgnss-") as folder:
         place = Path(folder)
         run([*DEEPGNSS, "simulate", "bench", "--seconds", str(long_s), "-o", str(place)])
