@@ -593,6 +593,15 @@ class Channel:
             return
         self._move(-move.cycles, code=True)
 
+    def doubt_code(self) -> None:
+        """The range is known to be wrong: what the code loop has averaged is not worth keeping.
+
+        As long as it is told so it stays wide, so that a reflection is left as soon as it ends, and
+        keeps no rate, by which it would go too far.
+        """
+        self._code_loop.widen(self.command.sample)
+        self._nco.code_offset_hz = 0.0
+
     def mend(self, cycles: float | None, reason: str, *, told: bool) -> None:
         """A slip found from outside: `cycles` (RINEX) are missing, None: nobody knows how many.
 

@@ -36,6 +36,15 @@ class CodeLoop:
         self._settled_s = settled_s
         self.tracker = self._delay_lock(self._schedule[0])
 
+    def widen(self, sample: int) -> None:
+        """Begin the schedule anew in the midst of tracking: the code is known to be far off.
+
+        Ranges count as they did.
+        """
+        self._settled_s -= self._seconds_to(sample)
+        self._since = sample
+        self.tracker = self._delay_lock(self._schedule[0])
+
     def settling_s(self, *, windows: bool) -> float:
         """Time the loop takes that starts some way off, on intervals or on windows."""
         if windows:

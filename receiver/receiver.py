@@ -462,6 +462,9 @@ class Receiver:
         if not epoch.observations:
             return self._unseen(tag_ns, epoch, coasting)
         refused = screen(epoch) if screen is not None else pvt.NOBODY_REFUSED
+        for channel in self.channels:
+            if channel.satellite in refused:
+                channel.doubt_code()
         solution = pvt.solve(epoch, self.nav, self.settings.pvt, self.solution, refused)
         if solution.valid and self.clock is not None:
             first = not self._steered

@@ -5,11 +5,14 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import cast
 
+import numpy as np
 import pytest
 
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import RunningSums
 from deepgnss.evaluate.reproduce.correlator_model import RATE_HZ, Model, start
 from deepgnss.receiver.channel import Channel
+from deepgnss.receiver.interval import Interval, turned
 from deepgnss.receiver.modes import (
     AidingRate,
     AidingSource,
@@ -81,3 +84,38 @@ def test_what_a_fix_corrects_does_not_shake_frequency_tracking() -> None:
         ends.append(channel.command)
     assert ends[0].carrier_hz == pytest.approx(ends[1].carrier_hz, abs=0.05)
     assert ends[0].carrier_hz == pytest.approx(model.doppler_hz + 9.0 * 8.0, abs=1.0)
+
+
+REFLECTED_CHIPS = -0.045  # 13 m behind
+
+
+@pytest.mark.parametrize("doubted", [False, True])
+def test_a_code_loop_that_is_told_of_a_reflection_leaves_it_at_once(doubted: bool) -> None:
+    """A narrow loop sits on a reflection that is gone; told so at every tag, it does not stay."""
+    model = Model(lambda _t: 65.0, rate_hzps=8.0)
+    channel = locked(model, 3)
+    go_on(channel, 10.0, told(model))
+    assert channel.report("").code_bandwidth_hz == pytest.approx(0.1)
+    nco = channel._nco
+    nco.command = turned(nco.command, 0.0, REFLECTED_CHIPS)
+    off_m = []
+    for k in range(30):
+        if doubted and (k == 0 or abs(off_m[-1]) > 1.5):  # refused until half of 3 m
+            channel.doubt_code()
+        go_on(channel, 10.1 + 0.1 * k, told(model))
+        interval = channel.history[-1]
+        assert interval.code_valid  # ranges go on, for whoever wants them
+        off_m.append(code_error_m(model, interval))
+    if doubted:
+        assert max(map(abs, off_m[3:])) < 0.7  # neither late nor too far
+        assert channel.report("").code_bandwidth_hz < 0.5
+    else:
+        assert off_m[5] < -8.0
+
+
+def code_error_m(model: Model, interval: Interval) -> float:
+    """Of the generator at a command's beginning, against what is simulated."""
+    command = interval.command
+    true_chips = float(model.code_chips(np.array([command.sample / RATE_HZ]))[0])
+    off_chips = (command.code_chips - true_chips + 511.5) % 1023.0 - 511.5
+    return off_chips * SPEED_OF_LIGHT_MPS / 1.023e6

@@ -122,6 +122,10 @@ def test_a_screened_range_leaves_the_position_and_stays_observed() -> None:
         satellite = fix.epoch.observations[0].satellite
         assert fix.solution.rejected[satellite] == "range 12.0 m off"
         assert satellite not in fix.solution.used
+    wide = {c.satellite: c.report("").code_bandwidth_hz for c in receiver.channels}
+    doubted = fixes[-1].epoch.observations[0].satellite
+    assert wide.pop(doubted) == 3.0  # no average of what is wrong
+    assert all(wide[one.satellite] < 3.0 for one in fixes[0].epoch.observations[1:])
 
 
 @pytest.mark.parametrize("cn0_dbhz", STEADY_DBHZ[:6])
