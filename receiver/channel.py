@@ -68,6 +68,7 @@ from deepgnss.receiver.trackers import (
 from deepgnss.receiver.windows import Windows
 
 _FOUND_AGAIN_S = 0.3  # after a gap: twice the time of a frequency loop
+_DOUBTED_S = 2.0  # after a wrong range: a slip is judged up to 1.5 s late
 _PULLED_IN = 5.0  # over a phase loop's bandwidth: when its frequency is one
 
 
@@ -126,6 +127,7 @@ class Channel:
         self.unproven = False  # the polarity was carried through an open loop
         self._since = sample  # sample of the last change of mode
         self._phase_since = sample
+        self._doubted_at = sample - int(1e9)  # never yet
         self.phase_valid = False
         self.frequency_error_hz = 0.0
         self._heard = NOTHING_HEARD
@@ -365,7 +367,7 @@ class Channel:
         self._tell(self._open.loop.fallen())
         return self._open.begin(
             None if self.mode is Mode.WEAK else self.locks.signal,
-            self._phase_since if self.phase_valid else None,
+            self._phase_since if self.phase_valid and not self._doubted else None,
         )
 
     def _end_open_loop(self, mode: Mode) -> None:
@@ -597,16 +599,25 @@ class Channel:
         """The range is known to be wrong: what the code loop has averaged is not worth keeping.
 
         As long as it is told so it stays wide, so that a reflection is left as soon as it ends, and
-        keeps no rate, by which it would go too far.
+        keeps no rate, by which it would go too far. Nor is the phase the satellite's own: nothing
+        of it is carried through an open loop, or put right by whole or half cycles.
         """
         self._code_loop.widen(self.command.sample)
         self._nco.code_offset_hz = 0.0
+        self._doubted_at = self.command.sample
+
+    @property
+    def _doubted(self) -> bool:
+        """Whether the range was wrong of late."""
+        return self._seconds_since(self._doubted_at) < _DOUBTED_S
 
     def mend(self, cycles: float | None, reason: str, *, told: bool) -> None:
         """A slip found from outside: `cycles` (RINEX) are missing, None: nobody knows how many.
 
         told: phases that miss them have been put out.
         """
+        if self._doubted:
+            cycles, reason = None, f"{reason}, of a reflection"
         if cycles is not None:
             if round(2.0 * cycles) != 2.0 * cycles:
                 raise ValueError(f"{self.satellite}: a slip of {cycles} cycles is no half number")

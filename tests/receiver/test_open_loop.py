@@ -184,6 +184,27 @@ def test_a_slip_of_unknown_size_begins_a_new_arc_of_unknown_polarity() -> None:
     assert 20 * len(channel.symbols) == channel.periods - channel.symbols_first
 
 
+def test_half_cycles_of_a_reflection_s_phase_are_not_put_back() -> None:
+    """How far it is from the satellite's own depends on a wall."""
+    model = Model(lambda _t: STRONG)
+    channel = start(model, SETTINGS)
+    run_aided(channel, model, 3.0)
+    channel.set_polarity(0.0)
+    channel.doubt_code()  # its range was refused
+    run_aided(channel, model, 4.5)
+    before, slips = channel.command, channel.slips
+    channel.mend(0.5, "test", told=True)
+    assert channel.command == before
+    assert channel.half_cycle is None
+    assert channel.slips == slips + 1
+    assert channel.events[-1].what == "cycle slip"
+    channel.set_polarity(0.0)
+    run_aided(channel, model, 6.0)  # not refused any more
+    channel.mend(0.5, "test", told=True)
+    assert channel.half_cycle == 0.0
+    assert channel.events[-1].what == "slip repaired"
+
+
 def test_no_other_than_half_cycles_are_put_back() -> None:
     with pytest.raises(ValueError, match="no half number"):
         start(Model(lambda _t: STRONG), SETTINGS).mend(0.3, "test", told=False)
@@ -214,6 +235,22 @@ def test_the_phase_is_carried_through_five_seconds(seed: int) -> None:
     assert channel.slips == arc
     assert channel.half_cycle == 0.5
     assert np.abs(off[t > BACK_S + 0.4]).max() < 0.02
+
+
+def test_a_reflection_s_phase_is_not_carried_through() -> None:
+    """What comes back may be the satellite's own, half a cycle off: symbols have to tell."""
+    model = Model(blocked, rate_hzps=30.0)
+    channel = start(model, SETTINGS)
+    run_aided(channel, model, GONE_S - 0.5, sure)
+    channel.set_polarity(0.5)
+    arc = channel.slips
+    channel.doubt_code()  # its range was refused
+    seen = run_aided(channel, model, BACK_S + 2.0, sure)
+    assert seen.named("hold").reason.endswith("open loop without phase")
+    assert not any(i.phase_valid for i in seen.intervals if i.coasting)
+    assert channel.mode is Mode.PHASE
+    assert channel.half_cycle is None
+    assert channel.slips > arc
 
 
 def test_a_loop_goes_back_to_before_its_signal_fell(monkeypatch: pytest.MonkeyPatch) -> None:
