@@ -35,7 +35,7 @@ ROWS: Final = (
         "0.05 cm",
         "≤ 1.15 · √2 σ_th",
         carrier_phase.measure_strong,
-        quick_s=16.0,
+        quick_s=15.5,
     ),
     Row(
         "CP-D47",
@@ -43,7 +43,7 @@ ROWS: Final = (
         "0.075 / 0.3 cm",
         "≤ 0.06 / 0.25 cm",
         carrier_phase.measure_drive_47,
-        quick_s=30.0,
+        quick_s=29.5,
     ),
     Row(
         "CP-S33",
@@ -51,7 +51,7 @@ ROWS: Final = (
         "0.30 cm",
         "≤ 1.15 · √2 σ_th, none lost",
         carrier_phase.measure_weak,
-        quick_s=6.0,
+        quick_s=5.5,
     ),
     Row(
         "CP-D35",
@@ -59,7 +59,7 @@ ROWS: Final = (
         "0.25 / 0.26 cm",
         "≤ 1.2 · √2 σ_th",
         carrier_phase.measure_drive_35,
-        quick_s=15.0,
+        quick_s=14.5,
     ),
     Row(
         "CP-D26",
@@ -67,7 +67,7 @@ ROWS: Final = (
         "0.70 cm, 0",
         "≤ 1.19 · √2 σ_th, 0 in 300 s",
         carrier_phase.measure_drive_26,
-        quick_s=16.0,
+        quick_s=15.5,
     ),
     Row(
         "CP-TURN",
@@ -75,7 +75,7 @@ ROWS: Final = (
         "figures 6.9–6.14",
         "within 10 % of theory; aided ≤ 1/10",
         turns.measure,
-        quick_s=39.0,
+        quick_s=38.5,
     ),
     Row(
         "PR-NOISE",
@@ -83,7 +83,7 @@ ROWS: Final = (
         "figures 6.3–6.8",
         "within 10 % of T(2.25)",
         code_noise.measure,
-        quick_s=19.0,
+        quick_s=18.5,
     ),
     Row(
         "PR-W215",
@@ -91,7 +91,7 @@ ROWS: Final = (
         "3.0 / 3.4, smoothed 1.3 / 1.5 m",
         "≤ 1.1 · √2 σ_th; smoothed ≤ 1.2 / 1.4 m",
         weak_ranges.measure,
-        quick_s=30.0,
+        quick_s=29.5,
     ),
     Row(
         "PR-BACK",
@@ -99,7 +99,7 @@ ROWS: Final = (
         "0.5 m",
         "≤ 0.5 m, no search run",
         blockage.measure,
-        quick_s=20.0,
+        quick_s=19.5,
     ),
     Row(
         "PR-MP",
@@ -107,7 +107,7 @@ ROWS: Final = (
         "0.25, 0.025 chip",
         "as theory",
         multipath.measure,
-        quick_s=11.0,
+        quick_s=10.5,
     ),
     Row(
         "FFT-PD",
@@ -115,7 +115,7 @@ ROWS: Final = (
         "figure 3.4",
         "within Monte-Carlo error of T(3.26–3.27)",
         peaks.measure,
-        quick_s=2.0,
+        quick_s=1.5,
     ),
     Row(
         "FFT-20G",
@@ -123,7 +123,7 @@ ROWS: Final = (
         "tracked",
         "tracked, 100 runs of 100",
         high_dynamics.measure,
-        quick_s=21.0,
+        quick_s=20.5,
     ),
     Row(
         "BIT-20",
@@ -131,7 +131,7 @@ ROWS: Final = (
         "99.2 / 100 %",
         "≥ 99.5 / 100 %",
         bit_sync.measure,
-        quick_s=5.0,
+        quick_s=4.5,
     ),
     Row(
         "FRAME-20",
@@ -139,7 +139,7 @@ ROWS: Final = (
         "97.7 / 75.8 %; 0 wrong",
         "≥ 98 / 85 %; 0 wrong",
         frame_sync.measure,
-        quick_s=4.0,
+        quick_s=3.5,
     ),
     Row(
         "LOCK-25",
@@ -147,7 +147,7 @@ ROWS: Final = (
         "detected",
         "detected and corrected ≤ 2 s, ≥ 99 %",
         false_lock.measure,
-        quick_s=5.0,
+        quick_s=4.5,
     ),
     Row(
         "OL-S1",
@@ -155,7 +155,7 @@ ROWS: Final = (
         "100 %",
         "100 %",
         open_loop.measure_rest_one,
-        quick_s=12.0,
+        quick_s=11.5,
     ),
     Row(
         "OL-SALL",
@@ -163,7 +163,7 @@ ROWS: Final = (
         "50 %",
         "≥ 60 % (clock at 50 %); ≥ 0.97 × predicted",
         open_loop.measure_rest_all,
-        quick_s=11.0,
+        quick_s=10.5,
     ),
     Row(
         "OL-D1",
@@ -171,7 +171,7 @@ ROWS: Final = (
         "99 / 83 %",
         "≥ 99 / 90 %",
         open_loop.measure_drive_one,
-        quick_s=28.0,
+        quick_s=27.5,
     ),
     Row(
         "OL-DALL",
@@ -179,7 +179,7 @@ ROWS: Final = (
         "93 / < 50 %",
         "≥ 95 / 60 %",
         open_loop.measure_drive_all,
-        quick_s=1.0,
+        quick_s=0.5,
     ),
     Row(
         "OL-VALID",
@@ -187,7 +187,7 @@ ROWS: Final = (
         "–",
         "ratio within 0.8–1.25",
         open_loop.measure_prediction,
-        quick_s=1.0,
+        quick_s=0.5,
     ),
     Row(
         "OL-CP",
@@ -195,7 +195,7 @@ ROWS: Final = (
         "3–4 s",
         "≤ 2 s",
         open_loop.measure_settling,
-        quick_s=16.0,
+        quick_s=15.5,
     ),
     Row(
         "CITY-PR",
@@ -203,7 +203,7 @@ ROWS: Final = (
         "unaided 3.61 / 1.50, 0.89, 93, 9.25 %; aided 0.80 / 0.93, 0.69, 99, 2.90 %",
         "ratios at least the published ones; fixed ≥ 99.5 %",
         city.measure,
-        quick_s=27.0,
+        quick_s=26.5,
     ),
     Row(
         "CITY-RTK",
@@ -211,7 +211,7 @@ ROWS: Final = (
         "257 of 297",
         "≥ 1.3 × unaided",
         city.measure_rtk,
-        quick_s=1.0,
+        quick_s=0.5,
     ),
     Row(
         "CITY-EXIT",
@@ -219,7 +219,7 @@ ROWS: Final = (
         "1 s",
         "≤ 1 s",
         city.measure_exit,
-        quick_s=1.0,
+        quick_s=0.5,
     ),
     Row(
         "LFM-CRB",
@@ -227,7 +227,7 @@ ROWS: Final = (
         "on the bound",
         "≤ 1.1 × above threshold",
         chirps.measure,
-        quick_s=2.0,
+        quick_s=1.5,
     ),
     Row(
         "LU-DYN",
@@ -235,7 +235,7 @@ ROWS: Final = (
         "stable",
         "same, to 80 Hz/s²",
         long_updates.measure_dynamics,
-        quick_s=4.0,
+        quick_s=3.5,
     ),
     Row(
         "LU-SENS",
@@ -243,7 +243,7 @@ ROWS: Final = (
         "23 / 21 dB-Hz",
         "≤ 23 / 21 dB-Hz",
         long_updates.measure_sensitivity,
-        quick_s=4.0,
+        quick_s=3.5,
     ),
     Row(
         "LU-PHASE",
@@ -251,7 +251,7 @@ ROWS: Final = (
         "< 0.01 cycle",
         "< 0.01 cycle",
         long_updates.measure_phase,
-        quick_s=3.0,
+        quick_s=2.5,
     ),
     Row(
         "KF-STAT",
@@ -259,7 +259,7 @@ ROWS: Final = (
         "errors fall by 1/3 to 1/2",
         "same or better",
         kalman_loop.measure_static,
-        quick_s=10.0,
+        quick_s=9.5,
     ),
     Row(
         "KF-DYN",
@@ -267,7 +267,7 @@ ROWS: Final = (
         "errors fall by 1/3 to 1/2",
         "same or better",
         kalman_loop.measure_dynamic,
-        quick_s=12.0,
+        quick_s=11.5,
     ),
     Row(
         "SLIP-95",
@@ -275,7 +275,7 @@ ROWS: Final = (
         "95 of 95 / 0",
         "100 % / 0 of 1000",
         slips.measure_slips,
-        quick_s=4.0,
+        quick_s=3.5,
     ),
     Row(
         "SLIP-ATT",
@@ -283,7 +283,7 @@ ROWS: Final = (
         "1.375° over 1 s",
         "as theory",
         slips.measure_attitude,
-        quick_s=8.0,
+        quick_s=7.5,
     ),
     Row(
         "SP-CORR",
@@ -292,7 +292,7 @@ ROWS: Final = (
         "≥ 150",
         speed.measure_correlator,
         alone=True,
-        quick_s=1.0,
+        quick_s=0.5,
     ),
     Row(
         "SP-CH",
@@ -301,7 +301,7 @@ ROWS: Final = (
         "≤ 0.012",
         speed.measure_channel,
         alone=True,
-        quick_s=30.0,
+        quick_s=29.5,
     ),
     Row(
         "SP-E2E",
@@ -310,7 +310,7 @@ ROWS: Final = (
         "≥ 5 × real time on two cores",
         speed.measure_everything,
         alone=True,
-        quick_s=68.0,
+        quick_s=67.5,
     ),
     Row(
         "SP-MEM",
@@ -318,7 +318,7 @@ ROWS: Final = (
         "–",
         "≤ 1 GB, flat",
         speed.measure_memory,
-        quick_s=23.0,
+        quick_s=22.5,
     ),
 )
 
