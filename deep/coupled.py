@@ -30,7 +30,7 @@ from deepgnss.deep.navigation import InertialInputs, Navigation, NavigationState
 from deepgnss.deep.placing import Placing
 from deepgnss.deep.screening import Screening, ScreenSettings
 from deepgnss.deep.setup import RunPlan
-from deepgnss.deep.straying import Coasting, Straying
+from deepgnss.deep.straying import Straying, Unheard
 from deepgnss.deep.tight import CLOCK_NOISE
 from deepgnss.deep.time_offset import CarrierLoop
 from deepgnss.ins import WheelSpeeds
@@ -232,7 +232,7 @@ class CoupledNavigation:
         """Channels in open loop that may be too far off by now, and why."""
         skyline, ins = self._aider.skyline, state.estimate.ins
         coasting = [
-            Coasting(channel.satellite, channel.signal)
+            Unheard(channel.satellite, channel.signal)
             for channel in receiver.channels
             if channel.coasting and channel.satellite in skyline.row
         ]

@@ -21,7 +21,7 @@ from deepgnss.theory.reach import Reach, reach
 _BACK_S: Final = 2.0  # without open loop: the signal is really back
 
 
-class Coasting(NamedTuple):
+class Unheard(NamedTuple):
     """A channel in open loop."""
 
     satellite: str
@@ -45,7 +45,7 @@ class Straying:
         self._strays: dict[str, _Stray] = {}
 
     def take(
-        self, now_s: float, coasting: Sequence[Coasting], rate_sigma_mps: FloatArray
+        self, now_s: float, coasting: Sequence[Unheard], rate_sigma_mps: FloatArray
     ) -> Mapping[str, str]:
         """Go on to a tag: channels to be given up, and why.
 
@@ -67,7 +67,7 @@ class Straying:
         return gone
 
 
-def _beyond(one: Coasting, way_m: float, rate_mps: float, limit: Reach) -> str:
+def _beyond(one: Unheard, way_m: float, rate_mps: float, limit: Reach) -> str:
     """Why the open loop is to end; empty: it is not."""
     signal = one.signal.id
     hz = rate_mps / SPEED_OF_LIGHT_MPS * signal.carrier_hz

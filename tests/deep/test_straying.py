@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
-from deepgnss.deep.straying import Coasting, Straying
+from deepgnss.deep.straying import Straying, Unheard
 from deepgnss.receiver.signals import BDS_B1I_D1, BDS_B1I_D2, GPS_L1CA_SIGNAL
 from deepgnss.theory.reach import reach
 
-GPS = Coasting("G05", GPS_L1CA_SIGNAL)
-D1 = Coasting("C10", BDS_B1I_D1)
-D2 = Coasting("C03", BDS_B1I_D2)
+GPS = Unheard("G05", GPS_L1CA_SIGNAL)
+D1 = Unheard("C10", BDS_B1I_D1)
+D2 = Unheard("C03", BDS_B1I_D2)
 STEP_S = 0.1
 
 
 def ended(
-    one: Coasting, rate_mps: float, until_s: float, straying: Straying | None = None
+    one: Unheard, rate_mps: float, until_s: float, straying: Straying | None = None
 ) -> tuple[float, str]:
     """When a channel whose rate is known to a 1σ is given up, and why; infinite: it is not."""
     straying = straying or Straying(0.25)
@@ -31,7 +31,7 @@ def ended(
 
 
 @pytest.mark.parametrize("one", [GPS, D1])
-def test_a_steady_rate_ends_it_when_the_code_is_out_of_reach(one: Coasting) -> None:
+def test_a_steady_rate_ends_it_when_the_code_is_out_of_reach(one: Unheard) -> None:
     chip_m = SPEED_OF_LIGHT_MPS / one.signal.id.chip_rate_hz
     due_s = reach(0.005, 0.25).code_chips * chip_m / 3.0
     at_s, reason = ended(one, 3.0, 60.0)

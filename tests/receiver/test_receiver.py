@@ -301,12 +301,17 @@ def _truly(sky: Sky, satellite: str) -> AidingSource:
     return at
 
 
-def test_channels_in_open_loop_are_told_apart_and_can_be_put_right() -> None:
-    sky = shared_sky()
+def _one_blocked(sky: Sky) -> tuple[str, Receiver]:
+    """The satellite that is blocked for a second, and a receiver told time, place and orbits."""
     satellite = next(e.satellite for e in sky.scenario.emitters if e.cn0_dbhz == BLOCKED_1_S)
     place_e_m = sky.scenario.vehicle.point(np.zeros(1)).r_m[0]
     knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m)
-    receiver = _receiver(knowledge)
+    return satellite, _receiver(knowledge)
+
+
+def test_channels_in_open_loop_are_told_apart_and_can_be_put_right() -> None:
+    sky = shared_sky()
+    satellite, receiver = _one_blocked(sky)
     feed, aiding = _feed(), {satellite: _truly(sky, satellite)}
     coasted: list[tuple[float, Observation, bool]] = []
     received: list[tuple[float, Observation]] = []
@@ -344,10 +349,7 @@ def test_channels_in_open_loop_are_told_apart_and_can_be_put_right() -> None:
 
 def test_a_channel_let_go_is_lost_with_its_reason_and_searched_anew() -> None:
     sky = shared_sky()
-    satellite = next(e.satellite for e in sky.scenario.emitters if e.cn0_dbhz == BLOCKED_1_S)
-    place_e_m = sky.scenario.vehicle.point(np.zeros(1)).r_m[0]
-    knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m)
-    receiver = _receiver(knowledge)
+    satellite, receiver = _one_blocked(sky)
     feed, aiding = _feed(), {satellite: _truly(sky, satellite)}
     events: list[Event] = []
     let_go = False
@@ -366,10 +368,7 @@ def test_a_channel_let_go_is_lost_with_its_reason_and_searched_anew() -> None:
 @pytest.mark.parametrize("bridged", [True, False])
 def test_a_phase_carried_through_shows_no_slip_in_rinex(bridged: bool, tmp_path: Path) -> None:
     sky = shared_sky()
-    satellite = next(e.satellite for e in sky.scenario.emitters if e.cn0_dbhz == BLOCKED_1_S)
-    place_e_m = sky.scenario.vehicle.point(np.zeros(1)).r_m[0]
-    knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m)
-    receiver = _receiver(knowledge)
+    satellite, receiver = _one_blocked(sky)
     feed, aiding = _feed(), {satellite: _truly(sky, satellite)}
     writer = RinexObsWriter(tmp_path, ObsHeader([GPS_L1CA], 0.1, 7.0, name="test.obs"))
     off_cycles: dict[float, float] = {}
