@@ -45,6 +45,7 @@ for _name, _value in {"NUMBA_CACHE_DIR": str(_cache_folder()), **_without_gather
     os.environ.setdefault(_name, _value)
 
 import numba  # noqa: E402  (reads both when imported)
+from numba.extending import register_jitable  # noqa: E402
 
 
 def kernel(function: _Function) -> _Function:
@@ -65,3 +66,8 @@ def summing_kernel(function: _Function) -> _Function:
             function
         ),
     )
+
+
+def compilable(function: _Function) -> _Function:
+    """Plain Python for whoever calls it from there, compiled along where a kernel calls it."""
+    return cast(_Function, register_jitable(function))

@@ -9,7 +9,7 @@ comes with it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from deepgnss.core.time import GpsTime
 from deepgnss.ins.trajectory import Trajectory
 from deepgnss.receiver import orbits
 from deepgnss.receiver.clock import ReceiverClock, from_ns
-from deepgnss.receiver.modes import AidingRate
+from deepgnss.receiver.leading import Grid, Profile
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.weights import delays
 
@@ -51,41 +51,6 @@ class Motion(NamedTuple):
         """Mean velocity between the points, (n - 1, 3)."""
         step_s = (self.time_s[-1] - self.time_s[0]) / (self.time_s.size - 1)
         return np.asarray(np.diff(self.r_e_m, axis=0) / step_s)
-
-
-@dataclass(frozen=True, slots=True)
-class Profile:
-    """Predicted carrier of one satellite: its cycles on even points, linear between and beyond.
-
-    first, step: sample of the first point and samples between points, of the signal's stream;
-    ahead: points in an update of the loops.
-    """
-
-    first: float
-    step: float
-    ahead: float
-    cycles: Sequence[float]  # since the first point
-    clock_hz: float  # what open loop adds to it: the receiver's clock, and what is known better
-
-    def __call__(self, sample: int) -> AidingRate:
-        """Doppler at a sample and its slope over the update that begins there.
-
-        The two make the cycles of both halves of the update: what shakes an inertial unit would
-        not average out of single values.
-        """
-        begin = (sample - self.first) / self.step
-        start, end = self._at(begin), self._at(begin + self.ahead)
-        middle = self._at(begin + 0.5 * self.ahead)
-        rate_hzps = 4.0 * (end - 2.0 * middle + start) / AHEAD_S**2
-        mean_hz = (end - start) / AHEAD_S
-        return AidingRate(mean_hz - 0.5 * AHEAD_S * rate_hzps, rate_hzps, self.clock_hz)
-
-    def _at(self, place: float) -> float:
-        values = self.cycles
-        k = int(place)
-        if not 0 <= k < len(values) - 1:
-            k = 0 if k < 0 else len(values) - 2
-        return values[k] + (place - k) * (values[k + 1] - values[k])
 
 
 def motion_over(
@@ -238,11 +203,14 @@ class Aider:
             carrier_hz = listener.signal.carrier_hz
             wavelength_m = SPEED_OF_LIGHT_MPS / carrier_hz
             made[listener.satellite] = Profile(
-                first=(start_s + clock.error_s(start_s)) * listener.rate_hz,
-                step=step_s * listener.rate_hz,
-                ahead=AHEAD_S / step_s,
-                cycles=(one * (-step_s / wavelength_m)).tolist(),
-                clock_hz=float(-drift_sps * carrier_hz - less_mps / wavelength_m),
+                Grid(
+                    (start_s + clock.error_s(start_s)) * listener.rate_hz,
+                    step_s * listener.rate_hz,
+                    AHEAD_S / step_s,
+                    AHEAD_S,
+                ),
+                one * (-step_s / wavelength_m),
+                float(-drift_sps * carrier_hz - less_mps / wavelength_m),
             )
         return made
 

@@ -16,7 +16,7 @@ from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne
 from deepgnss.core.records import Event, FloatArray, NavSolution
 from deepgnss.core.time import GpsTime
-from deepgnss.deep.aiding import AHEAD_S, Aider, Listener, Profile
+from deepgnss.deep.aiding import AHEAD_S, Aider, Listener
 from deepgnss.deep.bridging import Bridge, Bridged, Loop, Tag
 from deepgnss.deep.guard import Guard, Unit
 from deepgnss.deep.inertial import (
@@ -42,6 +42,7 @@ from deepgnss.io.config import Config
 from deepgnss.io.imu import ImuLog, read_odometer
 from deepgnss.receiver.carrier_loops import carrier_loop
 from deepgnss.receiver.clock import NS, ReceiverClock, to_ns
+from deepgnss.receiver.leading import Profile
 from deepgnss.receiver.modes import Coast
 from deepgnss.receiver.receiver import Fix, Receiver, Screen, StepResult
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from deepgnss.core.loops import LoopGains
 from deepgnss.core.records import ComplexArray, FloatArray
 from deepgnss.receiver.carrier_loops import carrier_loop, chirp_lock
+from deepgnss.receiver.discriminators import costas_arctan
 from deepgnss.receiver.frequency_tracking import (
     always_squares,
     noise_bandwidth_hz,
@@ -14,6 +16,7 @@ from deepgnss.receiver.frequency_tracking import (
 )
 from deepgnss.receiver.locks import FAST_S, PHASE_S
 from deepgnss.receiver.modes import Mode, TrackingSettings
+from deepgnss.receiver.phase_loops import CostasLoop
 from deepgnss.receiver.signals import Signal
 from deepgnss.receiver.sync import decided_signs
 from deepgnss.receiver.trackers import (
@@ -89,6 +92,13 @@ class CarrierTracking:
         if self._chirps is not None and mode in _BEFORE_LOCK:
             return _interval_periods(self._signal, self._chirps.interval_s)
         return self._periods if mode is Mode.PHASE else self._signal.update_periods
+
+    def fixed_gains(self, seconds: float) -> LoopGains | None:
+        """Gains of a phase loop that knows no more than the phase of the sum over an interval."""
+        loop = self._loop
+        if not isinstance(loop, CostasLoop) or loop.discriminator is not costas_arctan:
+            return None
+        return loop.gains(seconds)
 
     def has_own_rate(self, mode: Mode) -> bool:
         """Whether the loop follows a steady change of frequency by itself."""

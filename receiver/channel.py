@@ -10,9 +10,10 @@ signal in `coasting`. Carrier phase runs at +Doppler here; the observables turn 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepgnss.core.records import (
     ChannelReport,
@@ -27,17 +28,18 @@ from deepgnss.receiver.baseband import Correlator, correlate
 from deepgnss.receiver.carrier_tracking import CarrierTracking
 from deepgnss.receiver.coasting import Began, Coasting
 from deepgnss.receiver.code_loop import CodeLoop
-from deepgnss.receiver.decisions import Go, Locked, Shift, decide
+from deepgnss.receiver.decisions import Go, Locked, Shift, calm, decide
 from deepgnss.receiver.frequency_tracking import tone_sigma_hz
 from deepgnss.receiver.generators import Generators, Run
 from deepgnss.receiver.hearing import Hearing
 from deepgnss.receiver.intake import Intake
 from deepgnss.receiver.interval import NOTHING_HEARD, Heard, Interval, of_arc
 from deepgnss.receiver.known_symbols import KnownSymbols, signs
-from deepgnss.receiver.leading import Leading
+from deepgnss.receiver.leading import NO_GRID, Leading, Profile
 from deepgnss.receiver.locks import (
     FAINT_S,
     NO_LOCK,
+    RECENT_KEPT,
     USUAL_S,
     LockState,
     cn0_dbhz,
@@ -49,6 +51,7 @@ from deepgnss.receiver.locks import (
 )
 from deepgnss.receiver.modes import (
     TRANSITIONS,
+    AidingRate,
     AidingSource,
     Coast,
     Mode,
@@ -56,6 +59,7 @@ from deepgnss.receiver.modes import (
     unaided,
 )
 from deepgnss.receiver.signals import Signal, code_runs, neighbour_correlation
+from deepgnss.receiver.steady import Loops, State, Update
 from deepgnss.receiver.symbol_stream import SymbolStream
 from deepgnss.receiver.trackers import (
     NO_CORRECTION,
@@ -63,6 +67,7 @@ from deepgnss.receiver.trackers import (
     Correction,
     accumulate,
     pieces,
+    smoothed_hz,
     straightened,
 )
 from deepgnss.receiver.windows import Windows
@@ -268,13 +273,8 @@ class Channel:
             carrier = self._carriers.correct(self.mode, seen, edge_known=edge_known)
             code = self._code_loop.over(seen.seconds).correct(seen)
         self._nco.correct(self._intake.commands, carrier, middle_s, self._heard)
-        count = seen.periods.shape[0]
-        share = (
-            0.3
-            if count <= self.signal.update_periods
-            else 1.0 - 0.7 ** (count / self.signal.update_periods)
-        )
-        self.frequency_error_hz += share * (carrier.frequency - self.frequency_error_hz)
+        updates = seen.periods.shape[0] / self.signal.update_periods
+        self.frequency_error_hz = smoothed_hz(self.frequency_error_hz, carrier.frequency, updates)
         foreseen = self._carriers.foreseen(self.mode, seen.seconds)
         self._move_on(carrier, code, middle_s, end_s, aiding, foreseen)
 
@@ -561,6 +561,138 @@ class Channel:
         if after != (before or 0.0):
             self.slips += 1
         self._nco.history = of_arc(self.history, arc, self.slips, half_cycle)
+
+    # --- steady --------------------------------------------------------------------------------
+
+    def steady(self, source: AidingSource) -> bool:
+        """Whether there is nothing to decide: updates may be left to `steady.run_steady`."""
+        return (
+            self.mode is Mode.PHASE
+            and self.phase_valid
+            and self.edge is not None
+            and self.seconds_in_mode > self._settles_s
+            and self._seconds_since(self._returned) > self._found_again_s
+            and self._code_loop.narrowest
+            and self._carriers.fixed_gains(self.signal.update_s) is not None
+            and self._full == self.signal.update_periods
+            and self._intake.undivided
+            and self._intake.whole == self._full
+            and self._stream.even
+            and len(self.locks.recent) == RECENT_KEPT
+            and self._open.loop.accounted
+            and self._correlator is correlate
+            and not self.settings.record_correlations
+            and (
+                (self.aided and self._open.loop.memory.knows_offset)
+                if isinstance(source, Profile)
+                else (source is unaided and not self.aided)
+            )
+        )
+
+    @property
+    def loops(self) -> Loops:
+        """What it has in common with others of its signal while it is steady."""
+        seconds = self.signal.update_s
+        gains = self._carriers.fixed_gains(seconds)
+        if gains is None:
+            raise ValueError(f"{self.satellite}: its carrier loop is not one of fixed gains")
+        return Loops(
+            self._nco.rates,
+            self.signal.period_s,
+            self._full,
+            self.signal.symbol_periods,
+            self._margin,
+            gains,
+            self._code_loop.over(seconds).gains(seconds),
+            self._carriers.has_own_rate(Mode.PHASE),
+            calm(self.settings, aided=self.aided),
+            self._carriers.indicator_s,
+            self._carriers.fast_s,
+        )
+
+    def secondary_over(self, symbols: int) -> FloatArray:
+        """Signs of its secondary code by code period of so many symbols."""
+        return self._stream.over(symbols)
+
+    def hand_over(
+        self, recent: FloatArray, taken: ComplexArray, source: AidingSource, row: int
+    ) -> State:
+        """What it is, for updates elsewhere; room for recent (RECENT_KEPT,), taken (periods, taps).
+
+        row: of its code, to be passed on.
+        """
+        locks, leading, filled = self.locks, self._leading, self._intake.filled
+        recent[:] = locks.recent
+        taken[:filled] = self._intake.taken[:filled]
+        grid, points, clock_hz = NO_GRID, 0, 0.0
+        if isinstance(source, Profile):
+            grid, points, clock_hz = source.grid, source.cycles.size, source.clock_hz
+        return State(
+            *self.command,
+            self._nco.code_offset_hz,
+            self.frequency_error_hz,
+            filled,
+            locks.seconds,
+            locks.signal,
+            locks.fast_signal,
+            locks.noise,
+            locks.phase,
+            locks.phase_seconds,
+            *locks.shifted,
+            *leading.now,
+            leading.led_hz,
+            leading.led_hzps,
+            *self._open.loop.memory.mean,
+            points,
+            *grid,
+            clock_hz,
+            int(source is not leading.told_by),
+            row,
+            self._code_loop.tracker.slope,
+            0,
+            0,
+        )
+
+    def take_back(
+        self,
+        state: State,
+        recent: FloatArray,
+        taken: ComplexArray,
+        updates: Sequence[Update],
+        symbols: NDArray[np.uint8],
+        source: AidingSource,
+    ) -> None:
+        """Go on from what became of it: recent, taken and source as handed over, symbols by update.
+
+        Each update leaves what `conclude` would.
+        """
+        nco, leading, passed = self._nco, self._leading, []
+        for one in updates:
+            passed.append(self._open.passed(self._open.now(), one.offset_hz, one.power))
+            correction = Correction(one.phase, one.frequency, one.rate)
+            nco.correct(1, correction, one.middle_s, self._heard)
+            nco.resume(one.command, state.code_offset_hz, self._full)
+            leading.now = AidingRate(one.aid_hz, one.aid_hzps, one.clock_hz)
+            self.cn0_dbhz = one.cn0_dbhz
+            nco.history.append(self._interval())
+        if updates:
+            leading.told_by = source
+            leading.led_hz, leading.led_hzps = state.led_hz, state.led_hzps
+            self.locks = LockState(
+                state.seconds,
+                state.signal,
+                state.fast_signal,
+                tuple(recent.tolist()),
+                state.noise,
+                state.phase,
+                state.phase_seconds,
+                (state.down, state.same, state.up),
+            )
+            self.frequency_error_hz = state.error_hz
+            self._open.go_on(passed, state.offset_hz, state.offset_seconds)
+            self._stream.decided.extend(symbols.tobytes())
+            self._plan()
+        self._intake.refill(taken[: state.filled])
 
     # --- told from outside -----------------------------------------------------------------------
 

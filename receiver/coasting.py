@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from deepgnss.core.records import FloatArray, NcoCommand
@@ -13,7 +13,7 @@ from deepgnss.receiver.generators import Generators, Run
 from deepgnss.receiver.interval import led_on
 from deepgnss.receiver.leading import Leading
 from deepgnss.receiver.modes import NO_AIDING, AidingRate, Coast, Mode
-from deepgnss.receiver.open_loop import OpenLoop
+from deepgnss.receiver.open_loop import OpenLoop, Passed
 from deepgnss.receiver.signals import Signal
 from deepgnss.receiver.trackers import NcoState
 
@@ -43,7 +43,7 @@ class Coasting:
         limit_cycles: float,
     ) -> None:
         """limit_cycles: 1σ up to which a phase carried on is right to the half cycle."""
-        self.loop = OpenLoop(signal, generators.rate_hz, limit_cycles)
+        self.loop = OpenLoop(signal, generators.rates.sample_hz, limit_cycles)
         self._nco = generators
         self._leading = leading
 
@@ -114,8 +114,24 @@ class Coasting:
         if began.aid == NO_AIDING or not self._leading.aided:
             self.loop.forget()
             return
-        chips = began.periods * self._nco.length + began.command.code_chips
+        chips = self._chips(began)
         self.loop.remember(began.command.sample, began.carrier, chips, began.aid, power)
+
+    def passed(self, began: Began, offset_hz: float, power: float) -> Passed:
+        """A command whose interval is over, with the mean offset from the prediction then."""
+        return Passed(
+            began.command.sample, began.carrier, self._chips(began), began.aid, offset_hz, power
+        )
+
+    def go_on(self, passed: Sequence[Passed], offset_hz: float, seconds: float) -> None:
+        """Keep commands that passed elsewhere, and the mean offset after so many seconds."""
+        if self._leading.aided:
+            self.loop.memory.go_on(passed, offset_hz, seconds)
+        else:
+            self.loop.forget()
+
+    def _chips(self, began: Began) -> float:
+        return began.periods * self._nco.rates.length + began.command.code_chips
 
     def judged(self) -> str:
         """What the last gap came to, once its return was long enough ago."""
@@ -133,9 +149,11 @@ class Coasting:
         if not led:
             return ""
         nco.code_offset_hz = 0.0
-        nco.change(carrier=led[-1].carrier, code_chips=led[-1].chips - nco.periods * nco.length)
+        nco.change(
+            carrier=led[-1].carrier, code_chips=led[-1].chips - nco.periods * nco.rates.length
+        )
         carried = self.vouched_for(2.0)
-        nco.history = led_on(nco.history, led[:-1], nco.length, phase=carried)
+        nco.history = led_on(nco.history, led[:-1], nco.rates.length, phase=carried)
         phase = "" if carried else "out"
         return f"; from {nco.seconds_since(led[0].sample):.2f} s before open loop with{phase} phase"
 

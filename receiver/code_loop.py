@@ -55,13 +55,17 @@ class CodeLoop:
         """Whether ranges count at a sample."""
         return self._seconds_to(sample) > self._settled_s
 
+    @property
+    def narrowest(self) -> bool:
+        """Whether the schedule is over."""
+        return self.tracker.bandwidth_hz == self._schedule[-1]
+
     def narrow(self, sample: int) -> bool:
         """Follow the bandwidth schedule; True when the loop just became narrower."""
-        present = self.tracker.bandwidth_hz
-        if present == self._schedule[-1]:
+        if self.narrowest:
             return False
         due = scheduled_bandwidth_hz(self._schedule, self._seconds_to(sample))
-        if due == present:
+        if due == self.tracker.bandwidth_hz:
             return False
         self.tracker = self._delay_lock(due)
         return True

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 
 from scipy.special import gammainccinv
 
+from deepgnss.core.jit import compilable
 from deepgnss.receiver.locks import (
     LockState,
     faint_before_dbhz,
@@ -36,6 +37,8 @@ _RISING_INTERVALS = 10  # before which a signal must have been there to be a fai
 _RISING_S = 0.1  # of frequency tracking before a strong signal is believed …
 _RISEN_DB = 3.0  # … that much above the threshold of phase lock
 _HALF_DB = 3.0
+_LOST = 0.4  # mean cos 2φ below which a phase is lost …
+_SURE = 0.8  # … and above which it is believed
 _BACK_INTERVALS = 3  # that must each show a signal …
 _BACK_FALSE = math.exp(-6.0)  # … which noise does in one of so many
 
@@ -110,12 +113,9 @@ def decide(channel: Tracked, period_s: float) -> Verdict:
     here_s = channel.seconds_in_mode
     cn0 = channel.cn0_dbhz
     fast = fast_cn0_dbhz(channel.locks, period_s)
-    weak = max(
-        settings.frequency_threshold_dbhz,
-        lowest_frequency_lock_dbhz(settings.phase_threshold_dbhz),
-    )
-    if cn0 > weak + (_STRONG_AIDED_DB if channel.aided else _STRONG_DB):
-        fast = min(fast, recent_cn0_dbhz(channel.locks, period_s))
+    weak = _weakest_dbhz(settings)
+    recent = recent_cn0_dbhz(channel.locks, period_s)
+    fast = lately_dbhz(cn0, fast, recent, weak + _margin_db(channel.aided))
     gone = fast < weak
     match channel.mode:
         case Mode.PULL_IN:
@@ -129,6 +129,51 @@ def decide(channel: Tracked, period_s: float) -> Verdict:
         case Mode.HOLD:
             return _hold(channel, here_s, fast, gone, period_s)
     return None
+
+
+class Calm(NamedTuple):
+    """Limits of a phase in order, dB-Hz: within them there is nothing to decide."""
+
+    weak: float  # the signal is gone …
+    strong: float  # … which of a stronger one few intervals tell
+    lowest: float  # too weak for the phase
+
+
+def calm(settings: TrackingSettings, *, aided: bool) -> Calm:
+    """Limits of the rules for phase lock."""
+    weak = _weakest_dbhz(settings)
+    return Calm(weak, weak + _margin_db(aided), settings.phase_threshold_dbhz - _HYSTERESIS_DB)
+
+
+@compilable
+def in_order(limits: Calm, cn0: float, fast: float, indicator: float, side: int) -> bool:
+    """Whether the rules have nothing to say of a phase that counts, however long it does.
+
+    fast: as `lately_dbhz` has it; side: of a false lock.
+    """
+    return (
+        fast >= limits.weak
+        and cn0 >= limits.lowest
+        and indicator >= _LOST
+        and (side == 0 or indicator <= _SURE)
+    )
+
+
+@compilable
+def lately_dbhz(cn0: float, fast: float, recent: float, strong: float) -> float:
+    """C/N0 that tells whether a signal is gone: of a strong one few intervals do."""
+    return min(fast, recent) if cn0 > strong else fast
+
+
+def _weakest_dbhz(settings: TrackingSettings) -> float:
+    return max(
+        settings.frequency_threshold_dbhz,
+        lowest_frequency_lock_dbhz(settings.phase_threshold_dbhz),
+    )
+
+
+def _margin_db(aided: bool) -> float:
+    return _STRONG_AIDED_DB if aided else _STRONG_DB
 
 
 def _pulling_in(channel: Tracked, here_s: float, fast: float, gone: bool) -> Verdict:
@@ -167,9 +212,9 @@ def _phase(channel: Tracked, here_s: float, cn0: float, fast: float, gone: bool)
         return Go(_refuge(channel, fast), f"C/N0 fell to {fast:.1f} dB-Hz")
     if here_s > 0.5 and cn0 < lowest:
         return Go(Mode.WEAK, f"C/N0 {cn0:.1f} dB-Hz, too weak for the phase")
-    if here_s > 0.5 and indicator < 0.4:
+    if here_s > 0.5 and indicator < _LOST:
         return Go(Mode.FREQUENCY, f"phase lock lost: mean cos 2φ {indicator:.2f}")
-    if here_s > channel.lock_s and indicator > 0.8:
+    if here_s > channel.lock_s and indicator > _SURE:
         side = false_lock_side(channel.locks)
         if side:
             return Shift(side * 0.5 / channel.signal.symbol_s)

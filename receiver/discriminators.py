@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from deepgnss.core.jit import compilable
 from deepgnss.core.records import ComplexArray
 
 _TURN = 2.0 * math.pi
@@ -20,6 +21,7 @@ _TURN = 2.0 * math.pi
 # --- carrier phase, blind to the sign of the bit (T table 2.1), cycles ---------------------------
 
 
+@compilable
 def costas_arctan(prompt: complex) -> float:
     """Two-quadrant arctangent: exact within ±¼ cycle, independent of amplitude."""
     if prompt.real == 0.0:
@@ -76,6 +78,7 @@ def early_late_slope(spacing_chips: float, sample_chips: float, neighbour: float
     return fall * (2.0 * offset / sample_chips) / value
 
 
+@compilable
 def early_minus_late_envelope(early: float, late: float, slope: float) -> float:
     """Normalized early minus late of amplitudes (T table 2.3)."""
     total = early + late

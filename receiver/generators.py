@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from deepgnss.core.jit import compilable
 from deepgnss.core.records import NcoCommand
 from deepgnss.receiver.interval import Heard, Interval, turned
 from deepgnss.receiver.signals import Signal
 from deepgnss.receiver.trackers import (
-    NO_CORRECTION,
     Correction,
     NcoState,
     advance,
@@ -33,6 +33,99 @@ class Run(NamedTuple):
     shifted_chips: float  # correction of the code at the end
 
 
+class Rates(NamedTuple):
+    """What a pair of generators runs at, and on."""
+
+    sample_hz: float
+    chip_hz: float
+    to_code: float  # cycles of the carrier per chip
+    length: float  # chips of a code period
+
+
+@compilable
+def periods_before(rates: Rates, command: NcoCommand, sample: int) -> int:
+    """Code periods that end before a sample, counted from that of the command on."""
+    there_s = (sample - command.sample) / rates.sample_hz
+    chips = command.code_chips + there_s * (command.code_hz + 0.5 * there_s * command.code_hzps)
+    return int(chips // rates.length)
+
+
+@compilable
+def seconds_until(rates: Rates, command: NcoCommand, periods: float) -> float:
+    """Time after the command's sample until so many code periods are over."""
+    chips = periods * rates.length - command.code_chips
+    t = chips / command.code_hz
+    return chips / (command.code_hz + 0.5 * command.code_hzps * t)
+
+
+@compilable
+def run_through(
+    rates: Rates,
+    carrier: NcoState,
+    correction: Correction,
+    code: Correction,
+    foreseen: Correction,
+    middle_s: float,
+    end_s: float,
+) -> Run:
+    """Run to the last sample of a command with what was found to be lacking.
+
+    Corrections count in the middle, what is foreseen at the end.
+    """
+    whole = int(end_s * rates.sample_hz)
+    elapsed_s = whole / rates.sample_hz
+    before = advance(carrier, elapsed_s)
+    after = corrected(before, correction, elapsed_s - middle_s)
+    after = corrected(after, foreseen, elapsed_s - end_s)
+    return Run(
+        whole,
+        elapsed_s,
+        after,
+        after.phase - before.phase,
+        after.phase - carrier.phase,
+        code.phase + code.frequency * (elapsed_s - middle_s),
+    )
+
+
+@compilable
+def command_of(
+    rates: Rates, sample: int, carrier: NcoState, code_chips: float, code_offset_hz: float
+) -> NcoCommand:
+    """The command that the generators' state amounts to."""
+    return NcoCommand(
+        sample,
+        carrier.phase,
+        carrier.frequency,
+        carrier.rate,
+        code_chips,
+        rates.chip_hz + carrier.frequency / rates.to_code + code_offset_hz,
+        carrier.rate / rates.to_code,
+    )
+
+
+@compilable
+def next_command(
+    rates: Rates,
+    command: NcoCommand,
+    run: Run,
+    carrier: NcoState,
+    code_offset_hz: float,
+    periods: int,
+) -> NcoCommand:
+    """The command after a run, over so many code periods.
+
+    carrier: at the run's end, led on.
+    """
+    code_now = NcoState(command.code_chips, command.code_hz, command.code_hzps)
+    chips = (
+        advance(code_now, run.seconds).phase
+        - periods * rates.length
+        + run.shifted_chips
+        + run.corrected_cycles / rates.to_code
+    )
+    return command_of(rates, command.sample + run.samples, carrier, chips, code_offset_hz)
+
+
 class Generators:
     """State and command of both generators, and the commands before."""
 
@@ -49,17 +142,16 @@ class Generators:
 
         longest_periods: code periods of the longest interval there will be.
         """
-        self.rate_hz = sample_rate_hz
-        self.length = float(signal.id.code_chips)
+        chip_hz = signal.id.chip_rate_hz
+        length = float(signal.id.code_chips)
+        self.rates = Rates(sample_rate_hz, chip_hz, signal.carrier_to_code, length)
         self.carrier = NcoState(0.0, doppler_hz, 0.0)
         self.code_offset_hz = 0.0
         self.periods = 0  # that the channel had gone through when the command began
         self.history: list[Interval] = []
-        self._chip_rate_hz = signal.id.chip_rate_hz
-        self._to_code = signal.carrier_to_code
         self._kept = int(_HISTORY_UPDATES * longest_periods * signal.period_s * sample_rate_hz)
-        chip_rate = signal.id.chip_rate_hz * (1.0 + doppler_hz / signal.id.carrier_hz)
-        wait_s = (self.length - code_chips % self.length) / chip_rate
+        chip_rate = chip_hz * (1.0 + doppler_hz / signal.id.carrier_hz)
+        wait_s = (length - code_chips % length) / chip_rate
         start = sample + int(wait_s * sample_rate_hz)
         chips = ((start - sample) / sample_rate_hz - wait_s) * chip_rate
         self.command = self._command(start, chips)
@@ -68,21 +160,15 @@ class Generators:
 
     def reached(self, sample: int) -> int:
         """Code periods that end before a sample, counted from that of the command on."""
-        command = self.command
-        there_s = (sample - command.sample) / self.rate_hz
-        chips = command.code_chips + there_s * (command.code_hz + 0.5 * there_s * command.code_hzps)
-        return int(chips // self.length)
+        return periods_before(self.rates, self.command, sample)
 
     def until_s(self, periods: float) -> float:
         """Time after the command's sample until so many code periods are over."""
-        command = self.command
-        chips = periods * self.length - command.code_chips
-        t = chips / command.code_hz
-        return chips / (command.code_hz + 0.5 * command.code_hzps * t)
+        return seconds_until(self.rates, self.command, periods)
 
     def seconds_since(self, sample: int) -> float:
         """Time from a sample to the command's."""
-        return (self.command.sample - sample) / self.rate_hz
+        return (self.command.sample - sample) / self.rates.sample_hz
 
     # --- on to the next command --------------------------------------------------------------
 
@@ -94,54 +180,29 @@ class Generators:
         middle_s: float,
         end_s: float,
     ) -> Run:
-        """Run to the last sample of a command with what was found to be lacking.
-
-        Corrections count in the middle, what is foreseen at the end.
-        """
-        whole = int(end_s * self.rate_hz)
-        elapsed_s = whole / self.rate_hz
-        before = advance(self.carrier, elapsed_s)
-        after = corrected(before, carrier, elapsed_s - middle_s)
-        if foreseen is not NO_CORRECTION:
-            after = corrected(after, foreseen, elapsed_s - end_s)
-        return Run(
-            whole,
-            elapsed_s,
-            after,
-            after.phase - before.phase,
-            after.phase - self.carrier.phase,
-            code.phase + code.frequency * (elapsed_s - middle_s),
-        )
+        """Run to the last sample of a command with what was found to be lacking."""
+        return run_through(self.rates, self.carrier, carrier, code, foreseen, middle_s, end_s)
 
     def go_on(self, run: Run, carrier: NcoState, code: Correction, periods: int) -> None:
         """Begin the next command.
 
         carrier: at the run's end, led on; code: what it was corrected by; periods: that are over.
         """
-        command = self.command
-        code_now = NcoState(command.code_chips, command.code_hz, command.code_hzps)
         self.carrier = carrier
         self.code_offset_hz += code.frequency
         self.periods += periods
-        chips = (
-            advance(code_now, run.seconds).phase
-            - periods * self.length
-            + run.shifted_chips
-            + run.corrected_cycles / self._to_code
+        self.command = next_command(
+            self.rates, self.command, run, carrier, self.code_offset_hz, periods
         )
-        self.command = self._command(command.sample + run.samples, chips)
+
+    def resume(self, command: NcoCommand, code_offset_hz: float, periods: int) -> None:
+        """Go on from a command that was made elsewhere, so many code periods later."""
+        self.carrier = NcoState(command.carrier_cycles, command.carrier_hz, command.carrier_hzps)
+        self.command, self.code_offset_hz = command, code_offset_hz
+        self.periods += periods
 
     def _command(self, sample: int, code_chips: float) -> NcoCommand:
-        carrier, to_code = self.carrier, self._to_code
-        return NcoCommand(
-            sample,
-            carrier.phase,
-            carrier.frequency,
-            carrier.rate,
-            code_chips,
-            self._chip_rate_hz + carrier.frequency / to_code + self.code_offset_hz,
-            carrier.rate / to_code,
-        )
+        return command_of(self.rates, sample, self.carrier, code_chips, self.code_offset_hz)
 
     # --- put right -----------------------------------------------------------------------------
 
@@ -166,7 +227,7 @@ class Generators:
 
         code: it is an open loop that is put right, and the code goes along.
         """
-        chips = cycles / self._to_code if code else 0.0
+        chips = cycles / self.rates.to_code if code else 0.0
         self.carrier = self.carrier._replace(phase=self.carrier.phase + cycles)
         self.command = turned(self.command, cycles, chips)
         self.history = [

@@ -35,6 +35,16 @@ class Intake:
         self.taken[self.filled : filled] = correlations
         self.filled = filled
 
+    @property
+    def undivided(self) -> bool:
+        """Whether one command holds for all of the interval."""
+        return self.planned == self.whole and self.commands == 1
+
+    def refill(self, correlations: ComplexArray) -> None:
+        """Take the interval's code periods from its begin on anew, (periods, taps)."""
+        self.filled = 0
+        self.take(correlations)
+
     def turn(self, cycles: float) -> None:
         """The carrier generator was turned."""
         self.taken[: self.filled] *= np.exp(-2j * np.pi * math.fmod(cycles, 1.0))

@@ -8,15 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepgnss.core.jit import brief_kernel
+from deepgnss.core.jit import brief_kernel, compilable
 from deepgnss.core.records import ComplexArray, FloatArray
 from deepgnss.receiver.trackers import Accumulated
 
 USUAL_S = 1.0  # averaging of the reported C/N0
 FAINT_S = 3.0  # the same in frequency tracking: 0.3 dB at 20 dB-Hz
 FAST_S = 0.1  # averaging that notices a blockage
-_RECENT = 5  # intervals that notice the blockage of a strong signal
-_FAINT = 30  # intervals that notice that a weak one went or came
+RECENT = 5  # intervals that notice the blockage of a strong signal
+RECENT_KEPT = 30  # intervals that notice that a weak one went or came
 _INTERVAL_S = 0.02
 _PLAIN_HZ = 10.0**3.2  # C/N0 of a signal whose absence is seen in a single interval …
 _DARK = 0.25  # … by its power
@@ -139,15 +139,30 @@ def _averages(
 ) -> tuple[float, float, float, tuple[float, ...], float]:
     """The first five of a new `LockState`."""
     signal, noise = _powers(seen, symbol_periods)
-    seconds = state.seconds + seen.seconds
-    slow = seen.seconds / min(seconds, slow_s)
-    fast = seen.seconds / min(seconds, fast_s)
+    means = state.seconds, state.signal, state.fast_signal, state.noise
+    seconds, slow, fast, scatter = averaged(means, signal, noise, seen.seconds, slow_s, fast_s)
+    return seconds, slow, fast, (*state.recent, signal)[-RECENT_KEPT:], scatter
+
+
+@compilable
+def averaged(
+    means: tuple[float, float, float, float],
+    signal: float,
+    noise: float,
+    interval_s: float,
+    slow_s: float,
+    fast_s: float,
+) -> tuple[float, float, float, float]:
+    """Averages with an interval's powers: seconds, signal, fast signal, noise of `LockState`."""
+    before_s, slow_signal, fast_signal, slow_noise = means
+    seconds = before_s + interval_s
+    slow = interval_s / min(seconds, slow_s)
+    fast = interval_s / min(seconds, fast_s)
     return (
         seconds,
-        state.signal + slow * (signal - state.signal),
-        state.fast_signal + fast * (signal - state.fast_signal),
-        (*state.recent, signal)[-_FAINT:],
-        state.noise + slow * (noise - state.noise),
+        slow_signal + slow * (signal - slow_signal),
+        fast_signal + fast * (signal - fast_signal),
+        slow_noise + slow * (noise - slow_noise),
     )
 
 
@@ -155,15 +170,45 @@ def _powers(seen: Accumulated, symbol_periods: int) -> tuple[float, float]:
     """Power of signal and noise in a code period of an interval."""
     count = seen.periods.shape[0]
     if seen.coherent:
-        size = min(symbol_periods or count, count)
-        wide, narrow = interval_powers(seen.periods, size)
-        sums = count // size
-        noise = (wide - narrow) / (count - sums)
-        return (narrow / sums - noise) / size, noise
+        return coherent_powers(seen.periods, min(symbol_periods or count, count))
     wide, once, twice = neighbour_powers(seen.periods)
     # Of unknown signs: E z² = A⁴, noise has no mean.
     signal = math.sqrt(max(twice / (count - 1), 0.0)) if seen.blind else once / (count - 1)
     return signal, max(wide / count - max(signal, 0.0), 0.0)
+
+
+@compilable
+def coherent_powers(periods: ComplexArray, size: int) -> tuple[float, float]:
+    """Power of signal and noise in a code period, of sums over `size` each, (n, taps ≥ 2)."""
+    count = periods.shape[0]
+    wide, narrow = interval_powers(periods, size)
+    sums = count // size
+    noise = (wide - narrow) / (count - sums)
+    return (narrow / sums - noise) / size, noise
+
+
+@compilable
+def phase_averaged(
+    phase: float, phase_seconds: float, prompt: complex, interval_s: float, phase_s: float
+) -> tuple[float, float, float]:
+    """Mean cos 2φ with an interval's sum, the seconds it is of, and the interval's share."""
+    seconds = phase_seconds + interval_s
+    share = interval_s / min(seconds, phase_s)
+    double = (prompt * prompt).real / abs(prompt) ** 2
+    return phase + share * (double - phase), seconds, share
+
+
+@compilable
+def shifted_averaged(
+    shifted: tuple[float, float, float], now: tuple[float, float, float], share: float
+) -> tuple[float, float, float]:
+    """Mean powers of symbols shifted down, as they are, up, with an interval's."""
+    keep = 1.0 - share
+    return (
+        keep * shifted[0] + share * now[0],
+        keep * shifted[1] + share * now[1],
+        keep * shifted[2] + share * now[2],
+    )
 
 
 def update_locks(
@@ -182,26 +227,18 @@ def update_locks(
         return state
     if not (seen.coherent and seen.prompt):
         return update_powers(state, seen, fast_s=fast_s)
-    phase_seconds = state.phase_seconds + seen.seconds
-    gain = seen.seconds / min(phase_seconds, phase_s)
-    double = (seen.prompt * seen.prompt).real / abs(seen.prompt) ** 2
+    phase, phase_seconds, share = phase_averaged(
+        state.phase, state.phase_seconds, seen.prompt, seen.seconds, phase_s
+    )
     shifted, size = state.shifted, symbol_periods or count
     if count % size == 0:  # before the first edge a part of a symbol
-        down, same, up = mean_shifted_powers(seen.periods, half_shifts(size))
-        keep = 1.0 - gain
-        shifted = (
-            keep * shifted[0] + gain * down,
-            keep * shifted[1] + gain * same,
-            keep * shifted[2] + gain * up,
-        )
-    return LockState(
-        *_averages(state, seen, USUAL_S, fast_s, 0),
-        state.phase + gain * (double - state.phase),
-        phase_seconds,
-        shifted,
-    )
+        now = mean_shifted_powers(seen.periods, half_shifts(size))
+        shifted = shifted_averaged(shifted, now, share)
+    means = _averages(state, seen, USUAL_S, fast_s, 0)
+    return LockState(*means, phase, phase_seconds, shifted)
 
 
+@compilable
 def strength_dbhz(signal: float, noise: float, period_s: float) -> float:
     """C/N0 of a signal's power per code period against that of noise; 0 where there is none."""
     if signal <= 0.0 or noise <= 0.0:
@@ -219,7 +256,7 @@ def fast_cn0_dbhz(state: LockState, period_s: float) -> float:
     return strength_dbhz(state.fast_signal, state.noise, period_s)
 
 
-def recent_cn0_dbhz(state: LockState, period_s: float, intervals: int = _RECENT) -> float:
+def recent_cn0_dbhz(state: LockState, period_s: float, intervals: int = RECENT) -> float:
     """C/N0 of the last five intervals (or so many) alone.
 
     It falls within 0.1 s where a forgetting average of a strong signal needs half a second, and
@@ -237,32 +274,44 @@ def dark(state: LockState, period_s: float) -> bool:
     At the least strength four sigma of the interval's noise lie between half the amplitude and
     all of it.
     """
-    strong = state.signal > _PLAIN_HZ * state.noise * period_s
-    return strong and state.recent[-1] < _DARK * state.signal
+    last = state.recent[-1] if state.recent else 0.0
+    return next_to_nothing(last, state.signal, state.noise, period_s)
+
+
+@compilable
+def next_to_nothing(last: float, signal: float, noise: float, period_s: float) -> bool:
+    """The same by the interval's power and the means of signal and noise."""
+    return signal > _PLAIN_HZ * noise * period_s and last < _DARK * signal
 
 
 def faint_cn0_dbhz(state: LockState, period_s: float) -> float:
     """C/N0 of the last 0.6 s or so alone: 0.9 dB at 20 dB-Hz, and next to nothing for nothing."""
-    return strength_dbhz(sum(state.recent) / _FAINT, state.noise, period_s)
+    return strength_dbhz(sum(state.recent) / RECENT_KEPT, state.noise, period_s)
 
 
 def faint_before_dbhz(state: LockState, period_s: float, intervals: int) -> float:
     """The same without the last intervals: whether a signal was there before they came."""
     before = state.recent[:-intervals]
-    return strength_dbhz(sum(before) / max(1, _FAINT - intervals), state.noise, period_s)
+    return strength_dbhz(sum(before) / max(1, RECENT_KEPT - intervals), state.noise, period_s)
 
 
 def surely_seen_dbhz(symbol_periods: int, period_s: float) -> float:
     """What `faint_cn0_dbhz` of noise alone does not reach: six times its spread."""
-    symbols = _FAINT * _INTERVAL_S / (symbol_periods * period_s)
+    symbols = RECENT_KEPT * _INTERVAL_S / (symbol_periods * period_s)
     return 10.0 * math.log10(6.0 / (symbol_periods * math.sqrt(symbols) * period_s))
 
 
 def false_lock_side(state: LockState) -> int:
-    """−1 or +1 when symbols are stronger ½/symbol lower or higher, else 0.
+    """−1 or +1 when symbols are stronger ½/symbol lower or higher, else 0."""
+    return stronger_side(state.shifted)
+
+
+@compilable
+def stronger_side(shifted: tuple[float, float, float]) -> int:
+    """The same by the mean powers shifted down, as they are, up.
 
     A loop locked that far off loses 0.6 of the power; half of that must be seen.
     """
-    down, same, up = state.shifted
+    down, same, up = shifted
     side = 1 if up > down else -1
     return side if max(down, up) > 1.5 * same else 0

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.jit import compilable
 from deepgnss.core.records import ComplexArray, FloatArray
 from deepgnss.receiver.modes import AidingRate, Coast
 from deepgnss.receiver.signals import Signal
@@ -24,7 +25,7 @@ from deepgnss.receiver.trackers import NcoState
 
 _KEPT_S = 1.3  # of past commands: as late as a faint signal's fall is noticed
 _FAINT_S = 1.0  # before its fall is noticed
-_MEAN_S = 1.5  # of a phase loop's offset from the prediction …
+MEAN_S = 1.5  # of a phase loop's offset from the prediction …
 _FAINT_MEAN_S = 3.0  # … and of a frequency's
 _ENOUGH_S = 0.2  # of either before it is better than the loop's last frequency
 _JUDGED_S = 1.0  # after a signal's return until its loops have shown what was off
@@ -106,17 +107,37 @@ class LoopMemory:
     ) -> None:
         """Keep a command whose interval is over."""
         offset_hz = self._offset_hz
-        if self._seconds < _ENOUGH_S:
+        if not self.knows_offset:
             offset_hz = carrier.frequency - aid.frequency_hz - aid.clock_hz
-        self._passed.append(Passed(sample, carrier, chips, aid, offset_hz, power))
-        while sample - self._passed[0].sample > _KEPT_S * self._rate:
+        self._keep([Passed(sample, carrier, chips, aid, offset_hz, power)])
+
+    def go_on(self, passed: Sequence[Passed], offset_hz: float, seconds: float) -> None:
+        """Keep commands that were learnt from elsewhere, up to this mean of so many seconds."""
+        self._offset_hz, self._seconds = offset_hz, seconds
+        self._keep(passed)
+
+    @property
+    def mean(self) -> tuple[float, float]:
+        """Mean offset from the prediction, Hz, and the seconds it is made of."""
+        return self._offset_hz, self._seconds
+
+    @property
+    def knows_offset(self) -> bool:
+        """Whether the mean is better than the loop's last frequency."""
+        return self._seconds >= _ENOUGH_S
+
+    def _keep(self, passed: Sequence[Passed]) -> None:
+        self._passed.extend(passed)
+        oldest = self._passed[-1].sample - _KEPT_S * self._rate
+        while self._passed[0].sample < oldest:
             self._passed.popleft()
 
     def learn(self, offset_hz: float, seconds: float, *, faint: bool) -> None:
         """Take the loop's offset from the prediction, in the mean of an interval."""
-        self._seconds += seconds
-        share = seconds / min(self._seconds, _FAINT_MEAN_S if faint else _MEAN_S)
-        self._offset_hz += share * (offset_hz - self._offset_hz)
+        mean_s = _FAINT_MEAN_S if faint else MEAN_S
+        self._offset_hz, self._seconds = learnt(
+            self._offset_hz, self._seconds, offset_hz, seconds, mean_s
+        )
 
     def before_fall(self, power: float) -> int:
         """Index of the last command that saw the signal whole: half its power tells."""
@@ -200,7 +221,7 @@ class OpenLoop:
         self._signal = signal
         self._rate = rate_hz
         self._limit = limit_cycles
-        self._memory = LoopMemory(signal, rate_hz)
+        self.memory = LoopMemory(signal, rate_hz)
         self._gap: Gap | None = None
         self._looked_after: int | None = None  # sample at which somebody last did
         # Sums of the last symbols, by the code period each lot begins at.
@@ -209,6 +230,11 @@ class OpenLoop:
         self._quarters: deque[tuple[float, complex]] = deque(maxlen=_LOOKED_AT)
 
     # --- trust -------------------------------------------------------------------------------
+
+    @property
+    def accounted(self) -> bool:
+        """Whether there is no gap whose end is still to be judged."""
+        return self._gap is None
 
     @property
     def carried(self) -> bool:
@@ -233,7 +259,7 @@ class OpenLoop:
 
     def move(self, cycles: float, chips: float) -> None:
         """The generators were put right."""
-        self._memory.move(cycles, chips)
+        self.memory.move(cycles, chips)
         for _, sums in self.symbols:
             sums *= cmath.rect(1.0, -math.tau * math.fmod(cycles, 1.0))
 
@@ -241,22 +267,21 @@ class OpenLoop:
 
     def forget(self) -> None:
         """Nothing before counts: the loop was wrong, or nothing was predicted."""
-        self._memory.forget()
+        self.memory.forget()
 
     def remember(
         self, sample: int, carrier: NcoState, chips: float, aid: AidingRate, power: float
     ) -> None:
         """Keep a command whose interval is over."""
-        self._memory.remember(sample, carrier, chips, aid, power)
+        self.memory.remember(sample, carrier, chips, aid, power)
 
     def learn_phase(self, turned_cycles: float, aid: AidingRate, seconds: float) -> None:
         """Take what a phase loop turned the carrier by into its mean offset."""
-        offset_hz = (turned_cycles - predicted_cycles(aid, seconds)) / seconds
-        self._memory.learn(offset_hz, seconds, faint=False)
+        self.memory.learn(offset_of(turned_cycles, aid, seconds), seconds, faint=False)
 
     def learn_frequency(self, frequency_hz: float, aid: AidingRate, seconds: float) -> None:
         """The same of a loop that follows the frequency alone."""
-        self._memory.learn(frequency_hz - aid.frequency_hz - aid.clock_hz, seconds, faint=True)
+        self.memory.learn(frequency_hz - aid.frequency_hz - aid.clock_hz, seconds, faint=True)
 
     # --- the way out and back ------------------------------------------------------------------
 
@@ -275,7 +300,7 @@ class OpenLoop:
 
         power: of the signal in its mean, None: it was faint. phase_since: sample of phase lock.
         """
-        memory, gap = self._memory, self._gap
+        memory, gap = self.memory, self._gap
         if memory.empty:
             self._gap = None
             return []
@@ -362,6 +387,22 @@ class OpenLoop:
         return gap.verdict(self._signal, self._rate)
 
 
+@compilable
+def learnt(
+    mean_hz: float, mean_seconds: float, offset_hz: float, seconds: float, mean_s: float
+) -> tuple[float, float]:
+    """A loop's mean offset from the prediction with that of an interval, and what it is made of."""
+    mean_seconds += seconds
+    return mean_hz + seconds / min(mean_seconds, mean_s) * (offset_hz - mean_hz), mean_seconds
+
+
+@compilable
+def offset_of(turned_cycles: float, aid: AidingRate, seconds: float) -> float:
+    """Mean frequency by which a loop turned the carrier beyond the prediction, Hz."""
+    return (turned_cycles - predicted_cycles(aid, seconds)) / seconds
+
+
+@compilable
 def predicted_cycles(aid: AidingRate, seconds: float) -> float:
     """What a prediction adds to the carrier over an update, the receiver's clock included."""
     mean_hz = aid.frequency_hz + aid.clock_hz + 0.5 * seconds * aid.rate_hzps

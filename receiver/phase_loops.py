@@ -31,7 +31,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from deepgnss.core.loops import loop_gains
+from deepgnss.core.loops import LoopGains, loop_gains
 from deepgnss.core.records import ComplexArray, FloatArray
 from deepgnss.receiver.discriminators import costas_arctan
 from deepgnss.receiver.sync import decided_signs
@@ -112,8 +112,12 @@ class CostasLoop(PlainLoop):
     def step(self, memory: None, seen: Accumulated) -> tuple[None, Correction]:
         """Phase, frequency and rate from the phase of the prompt sum."""
         error = self.discriminator(seen.prompt)
-        gains = loop_gains(self.order, self.noise_bandwidth_hz, seen.seconds)
+        gains = self.gains(seen.seconds)
         return memory, Correction(gains.phase * error, gains.frequency * error, gains.rate * error)
+
+    def gains(self, seconds: float) -> LoopGains:
+        """Of an update so long."""
+        return loop_gains(self.order, self.noise_bandwidth_hz, seconds)
 
     def turned(self, memory: None, cycles: float) -> None:
         """Nothing it knows of."""

@@ -38,7 +38,7 @@ from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.known_symbols import KnownSymbols
 from deepgnss.receiver.messages import Frame, News, Subframe
 from deepgnss.receiver.modes import AidingSource, Coast, Mode, TrackingSettings
-from deepgnss.receiver.rack import run_together
+from deepgnss.receiver.rack import Rack
 from deepgnss.receiver.search import Place, SearchSettings
 from deepgnss.receiver.signals import Signal
 
@@ -272,12 +272,15 @@ class Receiver:
         banks = [bank for bank in self.banks if bank.signal.id.name == name]
         channels = [channel for bank in banks for channel in bank.tracked()]
         executor = self._executor
-        own, *others = [channels[k::workers] for k in range(workers)]
-        for sums in feed.advance(self.sample_in(banks[0].rate_hz, end)):
-            tasks = [executor.submit(run_together, o, sums, aiding) for o in others if executor]
-            run_together(own, sums, aiding)
+        end = self.sample_in(banks[0].rate_hz, end)
+        racks = [Rack(channels[k::workers], aiding, end) for k in range(workers)]
+        for sums in feed.advance(end):
+            tasks = [executor.submit(rack.advance, sums) for rack in racks[1:] if executor]
+            racks[0].advance(sums)
             for task in tasks:
                 task.result()
+        for rack in racks:
+            rack.finish()
 
     def _retire(self) -> None:
         for bank in self.banks:

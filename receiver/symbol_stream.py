@@ -76,6 +76,15 @@ class SymbolStream:
                 self.decided.append(int(self._sum.real < 0.0))
             self._sum, self._periods = 0j, 0
 
+    @property
+    def even(self) -> bool:
+        """Whether no part of a symbol waits for its rest."""
+        return self._periods == 0 and not self._pieces
+
+    def over(self, symbols: int) -> FloatArray:
+        """Signs of the secondary code by code period of so many symbols."""
+        return np.ascontiguousarray(self._secondary[: symbols * self._size, 0])
+
     def restart(self, end: int, edge: int) -> None:
         """Begin a new stretch at the next edge."""
         self.resume(bytearray(), end + (edge - end) % self._size)

@@ -125,6 +125,7 @@ def demodulate(sums: ComplexArray, symbol_s: float = 0.02) -> Demodulated:
     return Demodulated(symbols, (phase - step) / turn, step / turn)
 
 
+@brief_kernel
 def decided_signs(sums: ComplexArray) -> FloatArray:
     """Signs ±1 of consecutive symbol sums (n,) up to a common one, whatever their rotation."""
     phase, step = _rotation(sums)

@@ -15,8 +15,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from deepgnss.core.jit import brief_kernel
-from deepgnss.core.loops import loop_gains, settling_time_s
+from deepgnss.core.jit import brief_kernel, compilable
+from deepgnss.core.loops import LoopGains, loop_gains, settling_time_s
 from deepgnss.core.records import ComplexArray
 from deepgnss.receiver.discriminators import (
     early_late_slope,
@@ -51,7 +51,7 @@ def accumulate(
     cn0_hz: float = 0.0,
 ) -> Accumulated:
     """Sums over the code periods (n, taps) of an interval."""
-    early, prompt, late = _totals(periods)
+    early, prompt, late = totals(periods)
     seconds = periods.shape[0] * period_s
     return Accumulated(
         periods, early, prompt, late, seconds, period_s, coherent, blind, cn0_hz=cn0_hz
@@ -75,7 +75,8 @@ def pieces(seen: Accumulated, periods: int) -> Iterator[Accumulated]:
 
 
 @brief_kernel
-def _totals(periods: ComplexArray) -> tuple[complex, complex, complex]:
+def totals(periods: ComplexArray) -> tuple[complex, complex, complex]:
+    """Sums of early, prompt and late over code periods (n, taps)."""
     early = prompt = late = 0.0j
     for k in range(periods.shape[0]):
         early += periods[k, 0]
@@ -103,6 +104,7 @@ class NcoState(NamedTuple):
     rate: float
 
 
+@compilable
 def advance(state: NcoState, seconds: float) -> NcoState:
     """State `seconds` later."""
     return NcoState(
@@ -112,6 +114,7 @@ def advance(state: NcoState, seconds: float) -> NcoState:
     )
 
 
+@compilable
 def corrected(state: NcoState, correction: Correction, since_middle_s: float) -> NcoState:
     """State with a correction that was due `since_middle_s` ago."""
     frequency, rate = correction.frequency, correction.rate
@@ -121,6 +124,13 @@ def corrected(state: NcoState, correction: Correction, since_middle_s: float) ->
         state.frequency + (frequency + since_middle_s * rate),
         state.rate + rate,
     )
+
+
+@compilable
+def smoothed_hz(error_hz: float, correction_hz: float, updates: float) -> float:
+    """Mean frequency error of a loop with what an interval of so many updates has corrected."""
+    share: float = 1.0 - 0.7 ** max(1.0, updates)
+    return error_hz + share * (correction_hz - error_hz)
 
 
 def scheduled_bandwidth_hz(schedule: tuple[float, ...], seconds: float) -> float:
@@ -188,6 +198,15 @@ class DelayLock:
     neighbour: float = 0.0  # the code's correlation a chip off
     discriminator: Callable[[float, float, float], float] = early_minus_late_envelope
 
+    @property
+    def slope(self) -> float:
+        """Of the discriminator on this code, 1/chip."""
+        return early_late_slope(self.spacing_chips, self.sample_chips, self.neighbour)
+
+    def gains(self, seconds: float) -> LoopGains:
+        """Of an update so long."""
+        return loop_gains(self.order, self.bandwidth_hz, seconds)
+
     def correct(self, seen: Accumulated) -> Correction:
         """Delay (and its rate) from envelopes, coherent where no symbol edge lies inside."""
         if seen.coherent:
@@ -197,7 +216,6 @@ class DelayLock:
             # Noise in the normalization would take from the loop's gain, so from its bandwidth.
             signal = np.maximum(power - seen.periods.shape[0] * seen.noise, 0.2 * power)
             early, late = float(signal[0]) ** 0.5, float(signal[2]) ** 0.5
-        slope = early_late_slope(self.spacing_chips, self.sample_chips, self.neighbour)
-        error = self.discriminator(early, late, slope)
-        gains = loop_gains(self.order, self.bandwidth_hz, seen.seconds)
+        error = self.discriminator(early, late, self.slope)
+        gains = self.gains(seen.seconds)
         return Correction(gains.phase * error, gains.frequency * error, 0.0)

@@ -25,6 +25,7 @@ from deepgnss.deep.aiding import (
 from deepgnss.ins.trajectory import Trajectory
 from deepgnss.receiver import orbits
 from deepgnss.receiver.clock import ReceiverClock, to_ns
+from deepgnss.receiver.leading import Grid
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.weights import delays
 from deepgnss.sim.constellation import nominal
@@ -93,7 +94,7 @@ def test_a_command_makes_the_cycles_of_both_halves_of_its_update(shaken: bool) -
     cycles = 100.0 * t + 25.0 * t**2 + 300.0 * t**3
     if shaken:
         cycles += 0.03 * np.sin(2.0 * np.pi * 45.0 * t)
-    profile = Profile(8000.5, step_s * rate_hz, AHEAD_S / step_s, cycles, -3.0)
+    profile = Profile(Grid(8000.5, step_s * rate_hz, AHEAD_S / step_s, AHEAD_S), cycles, -3.0)
     for k in (0, 37, 110):
         given = profile(round(8000.5 + t[k] * rate_hz))
         for share in (0.5, 1.0):
@@ -106,7 +107,9 @@ def test_a_command_makes_the_cycles_of_both_halves_of_its_update(shaken: bool) -
 
 def test_a_profile_goes_on_beyond_its_end_with_its_last_doppler() -> None:
     t = np.arange(131) * 1e-3
-    given = Profile(0.0, 4000.0, 20.0, 100.0 * t + 25.0 * t**2, 0.0)(round(0.2 * 4.0e6))
+    given = Profile(Grid(0.0, 4000.0, 20.0, AHEAD_S), 100.0 * t + 25.0 * t**2, 0.0)(
+        round(0.2 * 4.0e6)
+    )
     assert given.frequency_hz == pytest.approx(106.5, abs=0.1)
     assert given.rate_hzps == pytest.approx(0.0, abs=1e-3)
 
