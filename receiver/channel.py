@@ -1,7 +1,8 @@
 """One channel: generators, correlator call, carrier and code trackers, and a state machine.
 
 A step runs over one interval of whole code periods and reads like the block diagram: generate,
-correlate, discriminate, filter, command, lock, decide. What it decides by is in `decisions`, its
+correlate, discriminate, filter, command, lock, decide. Updates of a phase lock in which there is
+nothing to decide may be done by a kernel of the same parts (`steady_group`). What it decides by is in `decisions`, its
 code loop in `code_loop`, what it does without phase lock in `hearing` and `windows`, without its
 signal in `coasting`. Carrier phase runs at +Doppler here; the observables turn its sign (see
 `observables`).
@@ -10,10 +11,9 @@ signal in `coasting`. Carrier phase runs at +Doppler here; the observables turn 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deepgnss.core.records import (
     ChannelReport,
@@ -28,18 +28,17 @@ from deepgnss.receiver.baseband import Correlator, correlate
 from deepgnss.receiver.carrier_tracking import CarrierTracking
 from deepgnss.receiver.coasting import Began, Coasting
 from deepgnss.receiver.code_loop import CodeLoop
-from deepgnss.receiver.decisions import Go, Locked, Shift, calm, decide
+from deepgnss.receiver.decisions import Go, Locked, Shift, decide
 from deepgnss.receiver.frequency_tracking import tone_sigma_hz
 from deepgnss.receiver.generators import Generators, Run
 from deepgnss.receiver.hearing import Hearing
 from deepgnss.receiver.intake import Intake
 from deepgnss.receiver.interval import NOTHING_HEARD, Heard, Interval, of_arc
 from deepgnss.receiver.known_symbols import KnownSymbols, signs
-from deepgnss.receiver.leading import NO_GRID, Leading, Profile
+from deepgnss.receiver.leading import Leading
 from deepgnss.receiver.locks import (
     FAINT_S,
     NO_LOCK,
-    RECENT_KEPT,
     USUAL_S,
     LockState,
     cn0_dbhz,
@@ -51,7 +50,6 @@ from deepgnss.receiver.locks import (
 )
 from deepgnss.receiver.modes import (
     TRANSITIONS,
-    AidingRate,
     AidingSource,
     Coast,
     Mode,
@@ -59,7 +57,7 @@ from deepgnss.receiver.modes import (
     unaided,
 )
 from deepgnss.receiver.signals import Signal, code_runs, neighbour_correlation
-from deepgnss.receiver.steady import Loops, State, Update
+from deepgnss.receiver.steady import Update
 from deepgnss.receiver.symbol_stream import SymbolStream
 from deepgnss.receiver.trackers import (
     NO_CORRECTION,
@@ -116,19 +114,21 @@ class Channel:
         self._runs = code_runs(signal.id.name, prn)
         half = settings.spacing_chips / 2.0
         self.taps_chips: FloatArray = np.array([half, 0.0, -half])
-        self._carriers = CarrierTracking(signal, settings)
-        longest = self._carriers.longest
-        self._settles_s = _PULLED_IN / self._carriers.settled.bandwidth_hz
-        self._nco = Generators(signal, sample_rate_hz, longest, sample, code_chips, doppler_hz)
+        self.carriers = CarrierTracking(signal, settings)
+        longest = self.carriers.longest
+        self._settles_s = _PULLED_IN / self.carriers.settled.bandwidth_hz
+        self.nco = Generators(signal, sample_rate_hz, longest, sample, code_chips, doppler_hz)
         sample_chips = signal.id.chip_rate_hz / sample_rate_hz
-        self._margin = 4 + int(2.0 * settings.spacing_chips / sample_chips)
+        self.margin = 4 + int(
+            2.0 * settings.spacing_chips / sample_chips
+        )  # samples its taps reach beyond a period
         self._coded = bool(signal.secondary_code)
-        self._stream = SymbolStream(signal, longest)
-        self._hearing = Hearing(signal, self._carriers.remembered_s)
+        self.stream = SymbolStream(signal, longest)
+        self._hearing = Hearing(signal, self.carriers.remembered_s)
         self.windows = Windows(signal, settings)
-        self._leading = Leading(sample_rate_hz)
+        self.leading = Leading(sample_rate_hz)
         limit_cycles = settings.open_loop_phase_sigma_cycles
-        self._open = Coasting(signal, self._nco, self._leading, limit_cycles)
+        self.open_loop = Coasting(signal, self.nco, self.leading, limit_cycles)
         self.unproven = False  # the polarity was carried through an open loop
         self._since = sample  # sample of the last change of mode
         self._phase_since = sample
@@ -139,23 +139,23 @@ class Channel:
         self._acquired_hz = doppler_hz
         self._returned = sample - int(1e9)  # from no gap yet
 
-        self._code_loop = CodeLoop(
+        self.code_loop = CodeLoop(
             settings,
             sample_chips,
             neighbour_correlation(signal.id.name, prn),
             sample_rate_hz,
             self.windows.seconds,
         )
-        self._code_loop.restart(sample, settings.pull_in_s)
-        self._intake = Intake(self.taps_chips.size)
-        self._nco.history.append(self._interval())
+        self.code_loop.restart(sample, settings.pull_in_s)
+        self.intake = Intake(self.taps_chips.size)
+        self.nco.history.append(self._interval())
         self._plan()
 
     # --- the step ----------------------------------------------------------------------------
 
     def begin_epoch(self) -> None:
         """Forget what the epoch before has told, but the commands observables still need."""
-        self._nco.forget_old()
+        self.nco.forget_old()
         self.events = []
         self.recorded = []
 
@@ -175,43 +175,43 @@ class Channel:
 
     def due(self, end: int) -> int:
         """Code periods under the present command that are there before a sample but not taken."""
-        intake = self._intake
-        there = self._nco.reached(end - self._margin) + intake.begun
+        intake = self.intake
+        there = self.nco.reached(end - self.margin) + intake.begun
         return min(there, intake.planned) - intake.filled
 
     @property
     def skip(self) -> int:
         """Code periods taken under the present command."""
-        return self._intake.skip
+        return self.intake.skip
 
     def take(self, correlations: ComplexArray) -> None:
         """Take the next code periods of the interval under way, (periods, taps)."""
-        self._intake.take(correlations)
+        self.intake.take(correlations)
 
     @property
     def complete(self) -> bool:
         """Whether the present command is over."""
-        return self._intake.command_over
+        return self.intake.command_over
 
     def conclude(self, aiding: AidingSource) -> None:
         """Command, and at an interval's end detect and decide; the next one begins."""
-        began = self._open.now()
+        began = self.open_loop.now()
         middle_s, end_s = self._times()
-        if not self._intake.over:
+        if not self.intake.over:
             self._move_on(NO_CORRECTION, NO_CORRECTION, middle_s, end_s, aiding)
             self._remember(began)
-            self._nco.history.append(self._interval())
-            self._intake.go_on(self._most(self._full))
+            self.nco.history.append(self._interval())
+            self.intake.go_on(self._most(self._full))
             return
         seen = self._accumulate()
         self._steer(seen, middle_s, end_s, aiding)
         fell = self._detect(seen)
         self._collect_symbols(seen)
         if self.phase_valid and fell:
-            self._nco.take_back_phase(self._intake.commands)
+            self.nco.take_back_phase(self.intake.commands)
         self._remember(began)
         self._decide(seen)
-        self._nco.history.append(self._interval())
+        self.nco.history.append(self._interval())
         self._plan()
 
     def _plan(self) -> None:
@@ -221,7 +221,7 @@ class Channel:
             to_edge = (self.edge - self.periods) % self.signal.symbol_periods
             periods = to_edge % full or full
         self._coherent = self.edge is not None
-        self._intake.begin(periods, self._most(full))
+        self.intake.begin(periods, self._most(full))
 
     def _most(self, full: int) -> int:
         """Code periods of a command: aided, there is one for every update."""
@@ -229,26 +229,26 @@ class Channel:
 
     def _times(self) -> tuple[float, float]:
         """The interval's middle and the command's end, s after the command's sample."""
-        intake = self._intake
+        intake = self.intake
         return (
-            self._nco.until_s(0.5 * intake.whole - intake.begun),
-            self._nco.until_s(intake.planned - intake.begun),
+            self.nco.until_s(0.5 * intake.whole - intake.begun),
+            self.nco.until_s(intake.planned - intake.begun),
         )
 
     def _accumulate(self) -> Accumulated:
-        period_s, intake = self.signal.period_s, self._intake
+        period_s, intake = self.signal.period_s, self.intake
         if self.settings.record_correlations:
             first = self.history[-intake.commands].command
             self.recorded.append(Correlations(first.sample, period_s, intake.taken))
         taps, coherent = intake.taken, self._coherent
         if coherent and self.edge is not None:
             first_period = self.periods - intake.begun
-            taps = self._stream.stripped(taps, first_period, self.edge, self._signs)
+            taps = self.stream.stripped(taps, first_period, self.edge, self._signs)
         cn0_hz = 10.0 ** (0.1 * self.cn0_dbhz)
         return accumulate(taps, period_s, coherent, self._coded and not coherent, cn0_hz)
 
     def _signs(self, sums: ComplexArray) -> FloatArray:
-        return self._carriers.signs(self.mode, sums)
+        return self.carriers.signs(self.mode, sums)
 
     def _steer(
         self, seen: Accumulated, middle_s: float, end_s: float, aiding: AidingSource
@@ -258,24 +258,24 @@ class Channel:
         if self.mode is Mode.WEAK:
             window = self._complete_window(seen)
             if window is not None:
-                carrier = self._carriers.windowed.correct(window)
-                code = self._code_loop.on_windows.correct(
-                    self._carriers.windowed.straightened(window)
+                carrier = self.carriers.windowed.correct(window)
+                code = self.code_loop.on_windows.correct(
+                    self.carriers.windowed.straightened(window)
                 )
                 middle_s = end_s - 0.5 * window.seconds
                 self._heard = Heard(
-                    self._carriers.windowed.unfollowed_hz(carrier),
+                    self.carriers.windowed.unfollowed_hz(carrier),
                     tone_sigma_hz(self.cn0_dbhz, window),
                     window.seconds,
                 )
         elif self.mode is not Mode.HOLD and 4 * seen.periods.shape[0] >= self._full:
             edge_known = self.edge is not None
-            carrier = self._carriers.correct(self.mode, seen, edge_known=edge_known)
-            code = self._code_loop.over(seen.seconds).correct(seen)
-        self._nco.correct(self._intake.commands, carrier, middle_s, self._heard)
+            carrier = self.carriers.correct(self.mode, seen, edge_known=edge_known)
+            code = self.code_loop.over(seen.seconds).correct(seen)
+        self.nco.correct(self.intake.commands, carrier, middle_s, self._heard)
         updates = seen.periods.shape[0] / self.signal.update_periods
         self.frequency_error_hz = smoothed_hz(self.frequency_error_hz, carrier.frequency, updates)
-        foreseen = self._carriers.foreseen(self.mode, seen.seconds)
+        foreseen = self.carriers.foreseen(self.mode, seen.seconds)
         self._move_on(carrier, code, middle_s, end_s, aiding, foreseen)
 
     def _move_on(
@@ -288,35 +288,35 @@ class Channel:
         foreseen: Correction = NO_CORRECTION,
     ) -> None:
         """Give the next command: corrections count in the middle, what is foreseen at the end."""
-        run = self._nco.run(carrier, code, foreseen, middle_s, end_s)
+        run = self.nco.run(carrier, code, foreseen, middle_s, end_s)
         self._learn(run)
         here = self.command.sample
-        own_rate = self._carriers.has_own_rate(self.mode)
-        led = self._leading.lead(
+        own_rate = self.carriers.has_own_rate(self.mode)
+        led = self.leading.lead(
             run.carrier, aiding, here, run.samples, self.mode, own_rate=own_rate
         )
-        if self._code_loop.narrow(here):  # a wide loop's noisy rate must not live on
-            self._nco.code_offset_hz = 0.0
+        if self.code_loop.narrow(here):  # a wide loop's noisy rate must not live on
+            self.nco.code_offset_hz = 0.0
             code = code._replace(frequency=0.0)
             run = run._replace(shifted_chips=code.phase)
-        self._nco.go_on(run, led, code, self.skip)
+        self.nco.go_on(run, led, code, self.skip)
 
     def _learn(self, run: Run) -> None:
         """See what a command of the loops did beyond what was predicted of it."""
-        self._open.saw(run)
+        self.open_loop.saw(run)
         if self.mode is Mode.PHASE and self.phase_valid and self.seconds_in_mode > self._settles_s:
-            self._open.learn_phase(run)
+            self.open_loop.learn_phase(run)
         elif self.mode is Mode.WEAK:
-            self._open.learn_frequency(run)
+            self.open_loop.learn_frequency(run)
 
     # --- parts of the moment -----------------------------------------------------------------
 
     @property
     def _full(self) -> int:
-        return self._carriers.periods(self.mode)
+        return self.carriers.periods(self.mode)
 
     def _seconds_since(self, sample: int) -> float:
-        return self._nco.seconds_since(sample)
+        return self.nco.seconds_since(sample)
 
     # --- frequency tracking --------------------------------------------------------------------
 
@@ -326,16 +326,16 @@ class Channel:
         if count % size:  # up to the first symbol edge
             return None
         return self.windows.add(
-            seen.periods if count == size else self._intake.taken,
+            seen.periods if count == size else self.intake.taken,
             self.periods + count,
             self.locks.noise,
-            self.command.carrier_hz - self._leading.led_hz,
+            self.command.carrier_hz - self.leading.led_hz,
             self._known_signs,
         )
 
     def _known_signs(self, first: int, count: int) -> FloatArray | None:
         """Signs of symbols from a period of this channel's count on, where they are known."""
-        if self.known is None or self.anchor is None or self._carriers.always_squares:
+        if self.known is None or self.anchor is None or self.carriers.always_squares:
             return None
         return signs(self.known, self.anchor + first, count, self.signal.symbol_periods)
 
@@ -343,36 +343,42 @@ class Channel:
 
     def _remember(self, began: Began) -> None:
         """Keep a command whose interval is over; a phase nobody vouches for any more is let go."""
-        self._open.remember(began, self.locks.recent[-1] if self.locks.recent else 0.0)
-        if self.mode is Mode.HOLD and self._open.carried and not self._open.vouched_for(2.0):
+        self.open_loop.remember(began, self.locks.recent[-1] if self.locks.recent else 0.0)
+        if (
+            self.mode is Mode.HOLD
+            and self.open_loop.carried
+            and not self.open_loop.vouched_for(2.0)
+        ):
             self._forget_phase()
-        self._tell(self._open.judged())
+        self._tell(self.open_loop.judged())
 
     @property
     def wide_cn0_dbhz(self) -> float:
         """C/N0 in open loop by quarters of symbols: of a signal far off in frequency."""
         return strength_dbhz(
-            self._open.loop.wide_signal(self.locks.noise), self.locks.noise, self.signal.period_s
+            self.open_loop.loop.wide_signal(self.locks.noise),
+            self.locks.noise,
+            self.signal.period_s,
         )
 
     @property
     def phase_kept(self) -> bool:
         """Whether a phase carried through an open loop is right to the half cycle, or the whole."""
-        return self._open.kept(self.half_cycle, self._known_signs)
+        return self.open_loop.kept(self.half_cycle, self._known_signs)
 
     def _begin_open_loop(self) -> str:
         """Go back to before the signal fell, and on from there by aiding alone."""
         if not self.aided:
             return ""
-        self._tell(self._open.loop.fallen())
-        return self._open.begin(
+        self._tell(self.open_loop.loop.fallen())
+        return self.open_loop.begin(
             None if self.mode is Mode.WEAK else self.locks.signal,
             self._phase_since if self.phase_valid and not self._doubted else None,
         )
 
     def _end_open_loop(self, mode: Mode) -> None:
         """The signal is back."""
-        self._open.end(mode, self.half_cycle, self._known_signs)
+        self.open_loop.end(mode, self.half_cycle, self._known_signs)
         self._returned = self.command.sample
         if mode is Mode.PHASE:
             self.unproven = self.half_cycle is not None
@@ -392,13 +398,13 @@ class Channel:
     def _detect(self, seen: Accumulated) -> bool:
         """Take an interval into the lock detectors; whether it has next to nothing somewhere."""
         fell = False
-        symbol = self._stream.whole(seen, self.periods, self.edge)
+        symbol = self.stream.whole(seen, self.periods, self.edge)
         if symbol is not None:
             for piece in self._updates(symbol):
                 self._take_power(piece)
                 fell |= dark(self.locks, self.signal.period_s)
         if self.mode is Mode.HOLD and self.edge is not None:
-            self._open.loop.collect(self._intake.taken[:, 1], self.periods)
+            self.open_loop.loop.collect(self.intake.taken[:, 1], self.periods)
         if self.mode in (Mode.FREQUENCY, Mode.WEAK):
             self._hear()
         return fell or (symbol is None and dark(self.locks, self.signal.period_s))
@@ -417,13 +423,13 @@ class Channel:
             self.locks = update_powers(self.locks, seen, slow_s, size)
         else:
             self.locks = update_locks(
-                self.locks, seen, size, self._carriers.indicator_s, self._carriers.fast_s
+                self.locks, seen, size, self.carriers.indicator_s, self.carriers.fast_s
             )
 
     def _hear(self) -> None:
         """Without phase lock: find the symbols' edges."""
-        prompts = self._intake.taken[:, 1]
-        intervals = self.history[-self._intake.commands :]
+        prompts = self.intake.taken[:, 1]
+        intervals = self.history[-self.intake.commands :]
         ends = [interval.periods for interval in intervals[1:]]
         first = intervals[0].periods
         for interval, end in zip(intervals, [*ends, self.periods], strict=True):
@@ -440,20 +446,20 @@ class Channel:
         """Make known that a symbol starts at a code period of this channel's count."""
         self.edge = period % self.signal.symbol_periods
         self._note("bit sync", reason)
-        if self._intake.filled == 0:
+        if self.intake.filled == 0:
             self._plan()
 
     def _look_back(self, edge: int) -> None:
         """Hand the phase of what was heard without phase lock to the phase loop."""
-        nco, own = self._nco, self._carriers.finds_rate(self.mode)
-        rate_hzps = nco.carrier.rate if own else self._leading.now.rate_hzps
+        nco, own = self.nco, self.carriers.finds_rate(self.mode)
+        rate_hzps = nco.carrier.rate if own else self.leading.now.rate_hzps
         seen = self._hearing.look_back(edge, nco.carrier, rate_hzps)
-        self._stream.look_back(seen)
+        self.stream.look_back(seen)
         nco.change(carrier=seen.carrier)
 
     def _collect_symbols(self, seen: Accumulated) -> None:
         if self.mode is Mode.PHASE and self.edge is not None:
-            self._stream.decide(self._intake.taken, seen, self.periods, self.edge)
+            self.stream.decide(self.intake.taken, seen, self.periods, self.edge)
 
     def _decide(self, seen: Accumulated) -> None:
         match decide(self, seen.period_s):
@@ -465,25 +471,25 @@ class Channel:
                 self._leave_false_lock(off_hz)
             case Locked(reason):
                 self.phase_valid = True
-                if not self._open.loop.locked():
+                if not self.open_loop.loop.locked():
                     self._phase_since = self.command.sample
                 self._note("phase lock", reason)
 
     def _leave_false_lock(self, off_hz: float) -> None:
         self._forget_phase()
-        self._nco.change(off_hz=off_hz, rate_hzps=self._leading.rate_anew())
+        self.nco.change(off_hz=off_hz, rate_hzps=self.leading.rate_anew())
         self.locks = restart_phase(self.locks)
-        self._carriers.restart()
+        self.carriers.restart()
         self.windows.restart()
-        self._open.loop.forget()
+        self.open_loop.loop.forget()
         self._since = self.command.sample
         self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
 
     def _leave_alternating_lock(self) -> None:
         """Frequency lock blind to signs also holds ±1/2T off: go to the side acquisition saw."""
-        missing_hz = self._acquired_hz - self._nco.carrier.frequency
+        missing_hz = self._acquired_hz - self.nco.carrier.frequency
         off_hz = math.copysign(0.5 / self.signal.period_s, missing_hz)
-        self._nco.change(off_hz=off_hz)
+        self.nco.change(off_hz=off_hz)
         self._hearing.forget()
         self._hearing.restart_sync()
         self._note("false lock", f"frequency moved by {off_hz:+.0f} Hz")
@@ -496,7 +502,7 @@ class Channel:
         self.slips += 1
         self.half_cycle = None
         self.phase_valid = self.unproven = False
-        self._open.loop.drop_phase()
+        self.open_loop.loop.drop_phase()
         self._restart_symbols()
 
     def _go(self, mode: Mode, reason: str) -> None:
@@ -506,7 +512,7 @@ class Channel:
             reason += self._begin_open_loop()
         if self.mode is Mode.HOLD:
             self._end_open_loop(mode)
-        keeps = {self.mode, mode} == {Mode.PHASE, Mode.HOLD} and self._open.vouched_for(2.0)
+        keeps = {self.mode, mode} == {Mode.PHASE, Mode.HOLD} and self.open_loop.vouched_for(2.0)
         if self.mode in (Mode.PHASE, Mode.HOLD) and not keeps:
             self._forget_phase()
         self.phase_valid = False
@@ -514,18 +520,18 @@ class Channel:
             if self.mode is not Mode.HOLD:
                 self._look_back(self.edge)
             self.locks = restart_phase(self.locks)
-            self._carriers.restart()
-        elif not self._carriers.finds_rate(mode):  # a plain frequency loop keeps no rate of its own
-            self._nco.change(rate_hzps=self._leading.rate_anew())
+            self.carriers.restart()
+        elif not self.carriers.finds_rate(mode):  # a plain frequency loop keeps no rate of its own
+            self.nco.change(rate_hzps=self.leading.rate_anew())
         if self.mode not in (Mode.FREQUENCY, Mode.WEAK):
             self._hearing.forget()
         self.windows.restart()
         if mode is Mode.FREQUENCY:
             self._hearing.restart_sync()
         here = self.command.sample
-        if self.mode is Mode.HOLD or (self.mode is Mode.WEAK and not self._code_loop.settled(here)):
+        if self.mode is Mode.HOLD or (self.mode is Mode.WEAK and not self.code_loop.settled(here)):
             windows = mode is Mode.WEAK
-            self._code_loop.restart(here, self._code_loop.settling_s(windows=windows))
+            self.code_loop.restart(here, self.code_loop.settling_s(windows=windows))
         # A long average is not to begin with what was stronger, or with nothing.
         if mode is Mode.WEAK or (self.mode is Mode.HOLD and self.aided):
             self.locks = self.locks._replace(seconds=0.0)
@@ -560,139 +566,42 @@ class Channel:
         arc, self.half_cycle = self.slips, half_cycle
         if after != (before or 0.0):
             self.slips += 1
-        self._nco.history = of_arc(self.history, arc, self.slips, half_cycle)
+        self.nco.history = of_arc(self.history, arc, self.slips, half_cycle)
 
-    # --- steady --------------------------------------------------------------------------------
+    # --- updates elsewhere (`steady_group`) ----------------------------------------------------
 
-    def steady(self, source: AidingSource) -> bool:
-        """Whether there is nothing to decide: updates may be left to `steady.run_steady`."""
+    @property
+    def settled(self) -> bool:
+        """Whether it is a phase lock between whole updates that nothing is left to be learnt of."""
         return (
             self.mode is Mode.PHASE
             and self.phase_valid
-            and self.edge is not None
             and self.seconds_in_mode > self._settles_s
             and self._seconds_since(self._returned) > self._found_again_s
-            and self._code_loop.narrowest
-            and self._carriers.fixed_gains(self.signal.update_s) is not None
+            and self.open_loop.loop.accounted
+            and self.edge is not None
             and self._full == self.signal.update_periods
-            and self._intake.undivided
-            and self._intake.whole == self._full
-            and self._stream.even
-            and len(self.locks.recent) == RECENT_KEPT
-            and self._open.loop.accounted
+            and self.intake.undivided
+            and self.intake.whole == self._full
+            and self.stream.even
             and self._correlator is correlate
             and not self.settings.record_correlations
-            and (
-                (self.aided and self._open.loop.memory.knows_offset)
-                if isinstance(source, Profile)
-                else (source is unaided and not self.aided)
-            )
         )
 
-    @property
-    def loops(self) -> Loops:
-        """What it has in common with others of its signal while it is steady."""
-        seconds = self.signal.update_s
-        gains = self._carriers.fixed_gains(seconds)
-        if gains is None:
-            raise ValueError(f"{self.satellite}: its carrier loop is not one of fixed gains")
-        return Loops(
-            self._nco.rates,
-            self.signal.period_s,
-            self._full,
-            self.signal.symbol_periods,
-            self._margin,
-            gains,
-            self._code_loop.over(seconds).gains(seconds),
-            self._carriers.has_own_rate(Mode.PHASE),
-            calm(self.settings, aided=self.aided),
-            self._carriers.indicator_s,
-            self._carriers.fast_s,
-        )
+    def pass_on(self, update: Update, code_offset_hz: float) -> None:
+        """Take an update done elsewhere: what `conclude` leaves for those who look back."""
+        correction = Correction(update.phase, update.frequency, update.rate)
+        self.nco.correct(1, correction, update.middle_s, self._heard)
+        self.nco.resume(update.command, code_offset_hz, self._full)
+        self.leading.now = update.aid
+        self.cn0_dbhz = update.cn0_dbhz
+        self.nco.history.append(self._interval())
 
-    def secondary_over(self, symbols: int) -> FloatArray:
-        """Signs of its secondary code by code period of so many symbols."""
-        return self._stream.over(symbols)
-
-    def hand_over(
-        self, recent: FloatArray, taken: ComplexArray, source: AidingSource, row: int
-    ) -> State:
-        """What it is, for updates elsewhere; room for recent (RECENT_KEPT,), taken (periods, taps).
-
-        row: of its code, to be passed on.
-        """
-        locks, leading, filled = self.locks, self._leading, self._intake.filled
-        recent[:] = locks.recent
-        taken[:filled] = self._intake.taken[:filled]
-        grid, points, clock_hz = NO_GRID, 0, 0.0
-        if isinstance(source, Profile):
-            grid, points, clock_hz = source.grid, source.cycles.size, source.clock_hz
-        return State(
-            *self.command,
-            self._nco.code_offset_hz,
-            self.frequency_error_hz,
-            filled,
-            locks.seconds,
-            locks.signal,
-            locks.fast_signal,
-            locks.noise,
-            locks.phase,
-            locks.phase_seconds,
-            *locks.shifted,
-            *leading.now,
-            leading.led_hz,
-            leading.led_hzps,
-            *self._open.loop.memory.mean,
-            points,
-            *grid,
-            clock_hz,
-            int(source is not leading.told_by),
-            row,
-            self._code_loop.tracker.slope,
-            0,
-            0,
-        )
-
-    def take_back(
-        self,
-        state: State,
-        recent: FloatArray,
-        taken: ComplexArray,
-        updates: Sequence[Update],
-        symbols: NDArray[np.uint8],
-        source: AidingSource,
-    ) -> None:
-        """Go on from what became of it: recent, taken and source as handed over, symbols by update.
-
-        Each update leaves what `conclude` would.
-        """
-        nco, leading, passed = self._nco, self._leading, []
-        for one in updates:
-            passed.append(self._open.passed(self._open.now(), one.offset_hz, one.power))
-            correction = Correction(one.phase, one.frequency, one.rate)
-            nco.correct(1, correction, one.middle_s, self._heard)
-            nco.resume(one.command, state.code_offset_hz, self._full)
-            leading.now = AidingRate(one.aid_hz, one.aid_hzps, one.clock_hz)
-            self.cn0_dbhz = one.cn0_dbhz
-            nco.history.append(self._interval())
-        if updates:
-            leading.told_by = source
-            leading.led_hz, leading.led_hzps = state.led_hz, state.led_hzps
-            self.locks = LockState(
-                state.seconds,
-                state.signal,
-                state.fast_signal,
-                tuple(recent.tolist()),
-                state.noise,
-                state.phase,
-                state.phase_seconds,
-                (state.down, state.same, state.up),
-            )
-            self.frequency_error_hz = state.error_hz
-            self._open.go_on(passed, state.offset_hz, state.offset_seconds)
-            self._stream.decided.extend(symbols.tobytes())
-            self._plan()
-        self._intake.refill(taken[: state.filled])
+    def resume(self, locks: LockState, error_hz: float, symbols: bytes) -> None:
+        """Go on after them: what the last one leaves, and the symbols of all."""
+        self.locks, self.frequency_error_hz = locks, error_hz
+        self.stream.decided.extend(symbols)
+        self._plan()
 
     # --- told from outside -----------------------------------------------------------------------
 
@@ -704,12 +613,12 @@ class Channel:
     @property
     def lock_s(self) -> float:
         """Time after which its phase lock is believed."""
-        return self._carriers.lock_s
+        return self.carriers.lock_s
 
     @property
     def aided(self) -> bool:
         """Whether predictions lead the generators."""
-        return self._leading.aided
+        return self.leading.aided
 
     @property
     def coasting(self) -> bool:
@@ -722,7 +631,7 @@ class Channel:
         None: somebody looks after open loops, and has nothing to say of this channel.
         """
         coasts = move is not None and self.coasting  # else its loop sees for itself
-        self._open.look_after(move if coasts else None)
+        self.open_loop.look_after(move if coasts else None)
         if move is None or not coasts:
             return
         self._move(-move.cycles, code=True)
@@ -734,8 +643,8 @@ class Channel:
         keeps no rate, by which it would go too far. Nor is the phase the satellite's own: nothing
         of it is carried through an open loop, or put right by whole or half cycles.
         """
-        self._code_loop.widen(self.command.sample)
-        self._nco.code_offset_hz = 0.0
+        self.code_loop.widen(self.command.sample)
+        self.nco.code_offset_hz = 0.0
         self._doubted_at = self.command.sample
 
     @property
@@ -760,7 +669,7 @@ class Channel:
         if cycles is None or told:
             before, self.slips = self.slips, self.slips + 1
             self.half_cycle = self.half_cycle if cycles is not None else None
-            self._nco.history = of_arc(self.history, before, self.slips, self.half_cycle)
+            self.nco.history = of_arc(self.history, before, self.slips, self.half_cycle)
         if cycles is None or cycles % 1.0:  # the symbols before it may be of the other sign
             self._restart_symbols()
 
@@ -769,47 +678,47 @@ class Channel:
 
         code: it is an open loop that is put right, and the code goes along.
         """
-        chips = self._nco.move(cycles, code=code)
-        self._intake.turn(cycles)
-        self._carriers.turn(cycles)
-        self._open.loop.move(cycles, chips)
+        chips = self.nco.move(cycles, code=code)
+        self.intake.turn(cycles)
+        self.carriers.turn(cycles)
+        self.open_loop.loop.move(cycles, chips)
 
     def _restart_symbols(self) -> None:
         """Begin a new stretch of symbols at the next edge."""
         if self.edge is not None:
-            self._stream.restart(self.periods, self.edge)
+            self.stream.restart(self.periods, self.edge)
 
     # --- what others read --------------------------------------------------------------------
 
     @property
     def command(self) -> NcoCommand:
         """What its generators do."""
-        return self._nco.command
+        return self.nco.command
 
     @property
     def periods(self) -> int:
         """Code periods it had gone through when its command began."""
-        return self._nco.periods
+        return self.nco.periods
 
     @property
     def history(self) -> list[Interval]:
         """Its intervals, as far back as observables need them; the last one is under way."""
-        return self._nco.history
+        return self.nco.history
 
     @property
     def filled(self) -> int:
         """Code periods of the interval under way that are in."""
-        return self._intake.filled
+        return self.intake.filled
 
     @property
     def symbols(self) -> bytearray:
         """Hard decisions since the last phase lock, 1: negative."""
-        return self._stream.decided
+        return self.stream.decided
 
     @property
     def symbols_first(self) -> int:
         """Code period at which the first of them starts."""
-        return self._stream.first
+        return self.stream.first
 
     def _note(self, what: str, reason: str) -> None:
         self.events.append(Event(self.command.sample, self.satellite, what, reason))
@@ -821,8 +730,8 @@ class Channel:
         return Interval(
             self.command,
             self.periods,
-            settled and self._code_loop.settled(self.command.sample),
-            self.phase_valid or (self.coasting and self._open.carried),
+            settled and self.code_loop.settled(self.command.sample),
+            self.phase_valid or (self.coasting and self.open_loop.carried),
             self.slips,
             self._phase_since,
             self.cn0_dbhz,
@@ -834,7 +743,7 @@ class Channel:
 
     def at(self, sample: int) -> Interval:
         """The interval that holds at a sample of the epoch just run."""
-        return self._nco.at(sample)
+        return self.nco.at(sample)
 
     @property
     def locks(self) -> LockState:
@@ -865,13 +774,13 @@ class Channel:
             cn0_dbhz=self.cn0_dbhz,
             doppler_hz=self.command.carrier_hz,
             carrier_lock=self.locks.phase,
-            aiding_minus_loop_hz=self._leading.now.frequency_hz
-            + self._leading.now.clock_hz
+            aiding_minus_loop_hz=self.leading.now.frequency_hz
+            + self.leading.now.clock_hz
             - self.command.carrier_hz
             if self.aided
             else 0.0,
             lock_time_s=self._seconds_since(self._phase_since) if self.phase_valid else 0.0,
             coherent_s=self._coherent_s,
-            carrier_bandwidth_hz=self._carriers.bandwidth_hz(self.mode),
-            code_bandwidth_hz=self._code_loop.tracker.bandwidth_hz,
+            carrier_bandwidth_hz=self.carriers.bandwidth_hz(self.mode),
+            code_bandwidth_hz=self.code_loop.tracker.bandwidth_hz,
         )

@@ -40,6 +40,10 @@ class Intake:
         """Whether one command holds for all of the interval."""
         return self.planned == self.whole and self.commands == 1
 
+    def copy_to(self, room: ComplexArray) -> None:
+        """Put what is in into a room of (periods, taps)."""
+        room[: self.filled] = self.taken[: self.filled]
+
     def refill(self, correlations: ComplexArray) -> None:
         """Take the interval's code periods from its begin on anew, (periods, taps)."""
         self.filled = 0

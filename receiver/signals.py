@@ -220,3 +220,25 @@ def code_runs(signal_name: str, prn: int) -> CodeRuns:
     starts = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1])
     edges = np.append(starts, code.size).astype(np.float64)
     return CodeRuns(edges, code[starts].astype(np.float64))
+
+
+class CodeTable(NamedTuple):
+    """The codes of a signal's satellites as runs (`CodeRuns`), row by row."""
+
+    rows: Mapping[int, int]  # by PRN
+    edges: FloatArray  # (rows, most runs + 1)
+    signs: FloatArray  # (rows, most runs)
+    runs: NDArray[np.int64]  # (rows,): how many of them count
+
+
+@cache
+def code_table(signal_name: str) -> CodeTable:
+    """All codes of a signal."""
+    prns = [prn for signal in SIGNALS[signal_name] for prn in signal.prns]
+    codes = [code_runs(signal_name, prn) for prn in prns]
+    most = max(code.signs.size for code in codes)
+    edges, signs = np.zeros((len(codes), most + 1)), np.zeros((len(codes), most))
+    for row, code in enumerate(codes):
+        edges[row, : code.edges.size], signs[row, : code.signs.size] = code
+    runs = np.array([code.signs.size for code in codes])
+    return CodeTable({prn: row for row, prn in enumerate(prns)}, edges, signs, runs)

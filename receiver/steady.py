@@ -33,6 +33,7 @@ from deepgnss.receiver.leading import follow, predicted
 from deepgnss.receiver.locks import (
     RECENT,
     USUAL_S,
+    LockState,
     averaged,
     coherent_powers,
     mean_shifted_powers,
@@ -95,6 +96,19 @@ class State(NamedTuple):
     updates: int  # that are told
     stopped: int  # 1: an update is complete that the channel has to do itself
 
+    def locks(self, recent: FloatArray) -> LockState:
+        """What its lock detectors say; recent: (RECENT_KEPT,) powers."""
+        return LockState(
+            self.seconds,
+            self.signal,
+            self.fast_signal,
+            tuple(recent.tolist()),
+            self.noise,
+            self.phase,
+            self.phase_seconds,
+            (self.down, self.same, self.up),
+        )
+
 
 class Update(NamedTuple):
     """What an update leaves."""
@@ -118,6 +132,11 @@ class Update(NamedTuple):
     clock_hz: float
     offset_hz: float
     cn0_dbhz: float
+
+    @property
+    def aid(self) -> AidingRate:
+        """What the command that follows was predicted by."""
+        return AidingRate(self.aid_hz, self.aid_hzps, self.clock_hz)
 
     @property
     def command(self) -> NcoCommand:
@@ -181,10 +200,10 @@ def run_steady(
 ) -> None:
     """Track n channels as far as running sums go (`packed` from sample `first` on, `scale`).
 
-    edges, signs, runs: all codes (`rack.CodeTable`). secondary: (periods,) signs over an update;
-    shifts: `half_shifts`. By channel: states (n,) `State`, recent (n, RECENT_KEPT) powers, the last
-    one last, taken (n, periods, taps), cycles (n, points) of the predictions. What comes of it:
-    told (n, updates) `Update`, symbols (n, updates, symbols) 1 for negative.
+    edges, signs, runs: all codes (`CodeTable`). secondary: (periods,) signs over an update.
+    shifts: `half_shifts`. By channel: states (n,) `State`, recent (n, RECENT_KEPT) powers, the
+    last one last, taken (n, periods, taps), cycles (n, points) of the predictions. What comes of
+    it: told (n, updates) `Update`, symbols (n, updates, symbols) 1 for negative.
     """
     end = first + (packed.size - 1) * step
     rates = loops.rates

@@ -96,7 +96,7 @@ def test_a_code_loop_that_is_told_of_a_reflection_leaves_it_at_once(doubted: boo
     channel = locked(model, 3)
     go_on(channel, 10.0, told(model))
     assert channel.report("").code_bandwidth_hz == pytest.approx(0.1)
-    nco = channel._nco
+    nco = channel.nco
     nco.command = turned(nco.command, 0.0, REFLECTED_CHIPS)
     off_m = []
     for k in range(30):

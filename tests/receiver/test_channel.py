@@ -233,7 +233,7 @@ def test_false_lock_is_found_and_left(off_hz: float, valid: bool) -> None:
     assert channel.mode is Mode.PHASE
     assert track_before.intervals[-1].phase_valid == valid
     slips = channel.slips
-    channel._nco.change(off_hz=off_hz)
+    channel.nco.change(off_hz=off_hz)
     channel.history[-1] = channel._interval()
     channel._plan()
     rest = track(sky, [channel], 3.0, start_s=at_s)[satellite]

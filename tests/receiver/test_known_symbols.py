@@ -104,8 +104,8 @@ def test_foretold_symbols_settle_a_half_cycle_and_the_next_head_has_the_last_wor
     channel.mode, channel.anchor = Mode.PHASE, _period(back_s)
     symbols = _bits(signal, satellite, back_s, 1.0) ^ inverted
     for count, half_cycle in ((31, None), (32, 0.5 * inverted)):
-        channel._nco.periods = count * signal.symbol_periods
-        channel._stream.resume(bytearray(symbols[:count].tobytes()), 0)
+        channel.nco.periods = count * signal.symbol_periods
+        channel.stream.resume(bytearray(symbols[:count].tobytes()), 0)
         bank.foretell_symbols()
         bank.take_known_polarities()
         assert channel.half_cycle == half_cycle
@@ -125,8 +125,8 @@ def test_symbols_of_another_message_settle_nothing() -> None:
         GPS_L1CA_SIGNAL, 5, settings, sample_rate_hz=4e6, sample=0, code_chips=0.0, doppler_hz=0.0
     )
     bank.channels[5], bank._sent[5] = channel, _heard(GPS_L1CA_SIGNAL, "G05", 0.0, 50.0)
-    channel.mode, channel.anchor, channel._nco.periods = Mode.PHASE, _period(63.5), 1000
-    channel._stream.resume(bytearray(_bits(GPS_L1CA_SIGNAL, "G07", 63.5, 1.0)), 0)
+    channel.mode, channel.anchor, channel.nco.periods = Mode.PHASE, _period(63.5), 1000
+    channel.stream.resume(bytearray(_bits(GPS_L1CA_SIGNAL, "G07", 63.5, 1.0)), 0)
     bank.foretell_symbols()
     bank.take_known_polarities()
     assert channel.half_cycle is None
@@ -149,16 +149,16 @@ def test_symbols_before_a_phase_was_lost_tell_nothing_of_the_next(inverted: int)
     )
     bank.channels[5], bank._sent[5] = channel, _heard(GPS_L1CA_SIGNAL, "G05", 0.0, 50.0)
     channel.known, channel.edge = decoded, 0
-    channel.mode, channel.anchor, channel._nco.periods = Mode.PHASE, _period(0.0), heard.size * size
-    channel._stream.resume(bytearray(heard.tobytes()), 0)
+    channel.mode, channel.anchor, channel.nco.periods = Mode.PHASE, _period(0.0), heard.size * size
+    channel.stream.resume(bytearray(heard.tobytes()), 0)
     bank.take_known_polarities()
     assert channel.half_cycle == 0.0
     channel._go(Mode.HOLD, "gone")
     bank.take_known_polarities()
     assert channel.half_cycle is None
-    channel.mode, channel._nco.periods = Mode.PHASE, 64 * 1000
+    channel.mode, channel.nco.periods = Mode.PHASE, 64 * 1000
     back = _bits(GPS_L1CA_SIGNAL, "G05", 63.0, 1.0) ^ inverted
-    channel._stream.resume(bytearray(back.tobytes()), 63 * 1000)
+    channel.stream.resume(bytearray(back.tobytes()), 63 * 1000)
     bank.foretell_symbols()
     bank.take_known_polarities()
     assert channel.half_cycle == 0.5 * inverted

@@ -127,11 +127,11 @@ def test_a_memory_begins_with_the_lock_and_turns_with_the_generator(
     run(channel, 2.53)
     assert starts == [Mode.LOST, Mode.FREQUENCY]  # made, then phase lock
 
-    memory = channel._carriers._memory  # in the middle of an update
+    memory = channel.carriers._memory  # in the middle of an update
     assert memory.prompts
     channel.mend(0.5, "test", told=True)  # RINEX grows with range
-    assert channel._carriers._memory.turned_cycles == -0.5
-    np.testing.assert_allclose(channel._carriers._memory.prompts[0], -memory.prompts[0])
+    assert channel.carriers._memory.turned_cycles == -0.5
+    np.testing.assert_allclose(channel.carriers._memory.prompts[0], -memory.prompts[0])
     run(channel, 2.9)
     assert abs(phase_error_cycles(channel, model)) < 0.05
 

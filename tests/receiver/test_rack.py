@@ -26,17 +26,19 @@ from deepgnss.evaluate.reproduce.correlator_model import Model, start
 from deepgnss.receiver.baseband import RunningSumBuffer, correlate, running_sums
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.leading import Grid, Profile
-from deepgnss.receiver.locks import RECENT_KEPT, half_shifts
+from deepgnss.receiver.locks import half_shifts
 from deepgnss.receiver.modes import AidingSource, CarrierSettings, Mode, TrackingSettings, unaided
-from deepgnss.receiver.rack import Rack, code_table, correlate_all, run_together
+from deepgnss.receiver.rack import Rack, correlate_all, run_together
 from deepgnss.receiver.signals import (
     BDS_B1I_D1,
     BDS_B1I_D2,
     GPS_L1CA_SIGNAL,
     Signal,
     code_runs,
+    code_table,
 )
 from deepgnss.receiver.steady import State, Update, records, run_steady
+from deepgnss.receiver.steady_group import loops_of, state_of, take_back
 
 RATE_HZ = 2.61e6
 TRUTH = {
@@ -270,7 +272,8 @@ def test_an_update_is_what_the_channel_concludes(signal: Signal) -> None:
     channel.begin_epoch()
     for end_s in np.arange(0.1, 2.5, 0.1):
         channel.run(cast(RunningSums, SimpleNamespace(end=round(end_s * MODEL_HZ))))
-    periods = channel.loops.periods
+    loops = loops_of(channel)
+    periods = loops.periods
 
     def correlated(skip: int) -> ComplexArray:
         taps, nothing = channel.taps_chips, cast(RunningSums, None)
@@ -279,11 +282,11 @@ def test_an_update_is_what_the_channel_concludes(signal: Signal) -> None:
     channel.take(correlated(channel.skip))  # to an update's beginning
     channel.conclude(unaided)
     correlations = correlated(0)
-    recent, taken = np.zeros(RECENT_KEPT), np.zeros_like(correlations)
+    recent = np.array(channel.locks.recent)
     table = code_table(signal.id.name)
     states = np.zeros(1, records(State))
-    states[0] = channel.hand_over(recent, taken, unaided, table.rows[channel.prn])
-    states["filled"], taken[:] = periods, correlations
+    states[0] = state_of(channel, unaided, table.rows[channel.prn])
+    states["filled"] = periods
     told = np.zeros((1, 2), records(Update))
     symbols = np.zeros((1, 2, periods // signal.symbol_periods), dtype=np.uint8)
     run_steady(
@@ -291,16 +294,16 @@ def test_an_update_is_what_the_channel_concludes(signal: Signal) -> None:
         0,
         1,
         1.0,
-        channel.loops,
+        loops,
         table.edges,
         table.signs,
         table.runs,
         channel.taps_chips,
-        channel.secondary_over(symbols.shape[2]),
+        channel.stream.over(symbols.shape[2]),
         half_shifts(signal.symbol_periods),
         states.view(np.recarray),
         recent[np.newaxis],
-        taken[np.newaxis],
+        correlations[np.newaxis],
         np.zeros((1, 0)),
         told.view(np.recarray),
         symbols,
@@ -308,7 +311,7 @@ def test_an_update_is_what_the_channel_concludes(signal: Signal) -> None:
     state, update = State(*states[0].item()), Update(*told[0, 0].item())
     other = deepcopy(channel)
     assert (state.updates, state.stopped, state.filled) == (1, 0, 0)
-    channel.take_back(state, recent, taken, [update], symbols[0, :1], unaided)
+    take_back(channel, state, recent, [update], symbols[0, 0].tobytes(), unaided)
     other.take(correlations)
     other.conclude(unaided)
     assert _state(channel) == _state(other)

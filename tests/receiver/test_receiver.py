@@ -162,7 +162,7 @@ def _cold() -> dict[str, tuple[float, float]]:
 def _with_channel(receiver: Receiver, satellite: str, symbols_first: int = 300) -> None:
     channel = start_channel(shared_sky(), satellite, TrackingSettings())
     channel.mode = Mode.PHASE
-    channel._stream.resume(bytearray(), symbols_first)
+    channel.stream.resume(bytearray(), symbols_first)
     receiver.banks[0].channels[int(satellite[1:])] = channel
 
 
@@ -227,7 +227,7 @@ def test_a_head_of_an_earlier_lock_is_forgotten() -> None:
         _with_channel(receiver, emitter.satellite)
         receiver.banks[0].heads[emitter.prn] = _head(receiver, emitter.prn, 382_260, 10, False)
     for channel in receiver.channels:
-        channel._stream.first += 20  # locked again a symbol later
+        channel.stream.first += 20  # locked again a symbol later
     receiver._take_heads()
     assert receiver.clock is None
     assert not receiver.banks[0].heads
