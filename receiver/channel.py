@@ -2,10 +2,10 @@
 
 A step runs over one interval of whole code periods and reads like the block diagram: generate,
 correlate, discriminate, filter, command, lock, decide. Updates of a phase lock in which there is
-nothing to decide may be done by a kernel of the same parts (`steady_group`). What it decides by is in `decisions`, its
-code loop in `code_loop`, what it does without phase lock in `hearing` and `windows`, without its
-signal in `coasting`. Carrier phase runs at +Doppler here; the observables turn its sign (see
-`observables`).
+nothing to decide may be done by a kernel of the same parts (`steady_group`). What it decides by is
+in `decisions`, its code loop in `code_loop`, what it does without phase lock in `hearing` and
+`windows`, without its signal in `coasting`. Carrier phase runs at +Doppler here; the observables
+turn its sign (see `observables`).
 """
 
 from __future__ import annotations
