@@ -10,7 +10,7 @@ import numpy as np
 
 from deepgnss.core.attitude import Quaternion
 from deepgnss.core.earth import SEMI_MAJOR_M, SEMI_MINOR_M, place_e_m
-from deepgnss.core.jit import kernel
+from deepgnss.core.jit import brief_kernel, kernel
 from deepgnss.core.records import FloatArray
 
 _FOCAL_M: Final = math.sqrt(SEMI_MAJOR_M**2 - SEMI_MINOR_M**2)
@@ -56,9 +56,27 @@ def ecef(lat_rad: float, lon_rad: float, height_m: float) -> FloatArray:
 
 def C_ne(lat_rad: float | FloatArray, lon_rad: float | FloatArray) -> FloatArray:
     """Rotation e → n (NED), v_n = C_ne @ v_e: (3, 3), or (n, 3, 3) of arrays (n,)."""
+    if isinstance(lat_rad, float):
+        return _C_ne(lat_rad, float(lon_rad))
+    lat, lon = (np.ascontiguousarray(angle) for angle in np.broadcast_arrays(lat_rad, lon_rad))
+    return _each_C_ne(lat.ravel(), lon.ravel()).reshape(*lat.shape, 3, 3)
+
+
+@kernel
+def _each_C_ne(lat_rad: FloatArray, lon_rad: FloatArray) -> FloatArray:
+    """As `C_ne`, of arrays (n,)."""
+    rotations = np.empty((lat_rad.size, 3, 3))
+    for k in range(lat_rad.size):
+        rotations[k] = _C_ne(lat_rad[k], lon_rad[k])
+    return rotations
+
+
+@brief_kernel
+def _C_ne(lat_rad: float, lon_rad: float) -> FloatArray:
     sl, cl, so, co = np.sin(lat_rad), np.cos(lat_rad), np.sin(lon_rad), np.cos(lon_rad)
-    rows = [[-sl * co, -sl * so, cl], [-so, co, 0.0 * so], [-cl * co, -cl * so, -sl]]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    return np.array(
+        [[-sl * co, -sl * so, cl], [-so, co, 0.0], [-cl * co, -cl * so, -sl]], dtype=np.float64
+    )
 
 
 @kernel
@@ -69,26 +87,21 @@ def q_en(lat_rad: float, lon_rad: float) -> Quaternion:
     return cl * ct, -sl * st, cl * st, sl * ct
 
 
+@brief_kernel
 def azimuth_elevation(
     r_e_m: FloatArray, satellites_e_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Azimuth in [0, 2π) and elevation, rad, of ECEF points (k, 3) seen from r_e_m."""
-    lat, lon, _ = geodetic(r_e_m)
-    return _azimuth_elevation(C_ne(lat, lon), r_e_m, satellites_e_m)
-
-
-@kernel
-def _azimuth_elevation(
-    C_ne: FloatArray, r_e_m: FloatArray, satellites_e_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+    lat_rad, lon_rad, _ = geodetic_of(r_e_m[0], r_e_m[1], r_e_m[2])
+    to_n = _C_ne(lat_rad, lon_rad)
     count = satellites_e_m.shape[0]
     azimuth, elevation = np.empty(count), np.empty(count)
     for k in range(count):
         x, y, z = satellites_e_m[k, 0], satellites_e_m[k, 1], satellites_e_m[k, 2]
         x, y, z = x - r_e_m[0], y - r_e_m[1], z - r_e_m[2]
-        north = C_ne[0, 0] * x + C_ne[0, 1] * y + C_ne[0, 2] * z
-        east = C_ne[1, 0] * x + C_ne[1, 1] * y + C_ne[1, 2] * z
-        down = C_ne[2, 0] * x + C_ne[2, 1] * y + C_ne[2, 2] * z
+        north = to_n[0, 0] * x + to_n[0, 1] * y + to_n[0, 2] * z
+        east = to_n[1, 0] * x + to_n[1, 1] * y + to_n[1, 2] * z
+        down = to_n[2, 0] * x + to_n[2, 1] * y + to_n[2, 2] * z
         azimuth[k] = math.atan2(east, north) % (2.0 * math.pi)
         if azimuth[k] == 2.0 * math.pi:
             azimuth[k] = 0.0  # rounded up from just west of north

@@ -7,10 +7,11 @@ reception (Sagnac) by `line_of_sight` alone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from operator import attrgetter
+from operator import attrgetter, is_
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -127,11 +128,32 @@ def _constants(satellite: str) -> tuple[float, ...]:
     return (*SYSTEMS[satellite[0]], float(satellite in _GEOSTATIONARY))
 
 
-def _table(ephemerides: Sequence[Ephemeris]) -> NDArray[np.void]:
-    """One record of numbers for each of one or more ephemerides."""
-    rows = [_elements(e) + _constants(e.satellite) for e in ephemerides]
-    columns = np.array(rows, dtype=np.float64).view(_COLUMNS)[:, 0]
+class _Chosen:
+    """Ephemerides as a key: the very same ones, since comparing their values takes as long as a
+    table of them."""
+
+    def __init__(self, ephemerides: Sequence[Ephemeris]) -> None:
+        self.ephemerides = tuple(ephemerides)
+
+    def __hash__(self) -> int:
+        return hash(tuple(map(id, self.ephemerides)))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, _Chosen) or len(self.ephemerides) != len(other.ephemerides):
+            return False
+        return all(map(is_, self.ephemerides, other.ephemerides))
+
+
+@lru_cache(maxsize=16)  # a choice lasts for hours and is asked about several times an epoch
+def _table_of(chosen: _Chosen) -> NDArray[np.void]:
+    rows = [_elements(e) + _constants(e.satellite) for e in chosen.ephemerides]
+    columns = np.array(rows, dtype=np.float64).reshape(-1).view(_COLUMNS)
     return columns.view(np.recarray)  # whose fields are attributes without a compiler as well
+
+
+def _table(ephemerides: Sequence[Ephemeris]) -> NDArray[np.void]:
+    """One record of numbers for each ephemeris; not to be written to."""
+    return _table_of(_Chosen(ephemerides))
 
 
 def satellite_states(
@@ -151,12 +173,9 @@ def satellite_states(
     """
     offsets_s = np.asarray(offset_s, dtype=np.float64) + np.zeros(len(ephemerides))
     shape = offsets_s.shape
-    if not offsets_s.size:
-        nothing = np.zeros(shape)
-        return SatelliteStates(*(np.zeros((*shape, 3)),) * 2, nothing, nothing, np.zeros(shape[-1]))
     table = _table(ephemerides)
     r_e_m, v_e_mps, clock_s, drift_sps = _states(
-        table, reference.week, reference.tow_s, offsets_s.reshape(-1, shape[-1])
+        table, *reference, offsets_s.reshape(math.prod(shape[:-1]), shape[-1])
     )
     return SatelliteStates(
         r_e_m.reshape(*shape, 3),
@@ -268,9 +287,21 @@ def transmitted_states(
     Parameters: clock readings as seconds after `reference`, shape (k,).
     Source: IS-GPS-200 20.3.3.3.3 (t = t_sv − Δt_sv).
     """
-    tc = clock_reading_s + np.array([reference.since(e.toc) for e in ephemerides])
-    clock_s = np.array([e.af0_s for e in ephemerides]) + tc * [e.af1_sps for e in ephemerides]
-    return satellite_states(ephemerides, reference, clock_reading_s - clock_s)
+    sent_s = _sent(_table(ephemerides), *reference, clock_reading_s)
+    return satellite_states(ephemerides, reference, sent_s)
+
+
+@kernel
+def _sent(
+    table: NDArray[np.void], week: int, tow_s: float, clock_reading_s: FloatArray
+) -> FloatArray:
+    """Instants (k,) after a reference, of readings after it; clocks without relativity will do."""
+    sent_s = np.empty(table.size)
+    for k in range(table.size):
+        e = table[k]
+        tc = clock_reading_s[k] + ((week - e.toc_week) * SECONDS_PER_WEEK + (tow_s - e.toc_tow_s))
+        sent_s[k] = clock_reading_s[k] - (e.af0_s + tc * e.af1_sps)
+    return sent_s
 
 
 def line_of_sight(r_e_m: FloatArray, v_e_mps: FloatArray, states: SatelliteStates) -> LineOfSight:
@@ -346,9 +377,8 @@ def predict(
 
     Parameters: antenna position (3,) and velocity (3,) at `time`.
     """
-    table = _table(ephemerides) if ephemerides else np.zeros(0, _COLUMNS).view(np.recarray)
     *sight, moving_e_mps, clock_s, drift_sps = _predicted(
-        table, time.week, time.tow_s, r_e_m, v_e_mps
+        _table(ephemerides), *time, r_e_m, v_e_mps
     )
     seen = LineOfSight(*sight)
     azimuth, elevation = directions(r_e_m, seen)
@@ -391,7 +421,7 @@ def _predicted(
 
 def directions(r_e_m: FloatArray, sight: LineOfSight) -> tuple[FloatArray, FloatArray]:
     """Azimuth and elevation, rad, shape (k,) each; NaN while the position is deep in the earth."""
-    if np.linalg.norm(r_e_m) < MINIMUM_ELEVATION_KNOWN_M:
+    if math.hypot(*r_e_m) < MINIMUM_ELEVATION_KNOWN_M:
         nothing = np.full_like(sight.range_m, np.nan)
         return nothing, nothing
     return azimuth_elevation(r_e_m, r_e_m + sight.range_m[:, np.newaxis] * sight.unit_e)
