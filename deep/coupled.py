@@ -128,9 +128,7 @@ class CoupledNavigation:
         antenna = trajectory.antenna(trajectory.time_s[-1:], self._aider.lever_b_m)
         screen = None
         if self.screening is not None:
-            screen = self.screening.along(
-                trajectory, self._aider.lever_b_m, receiver.nav, self._bridge.drift_mps
-            )
+            screen = self.screening.along(trajectory, self._aider.lever_b_m, self._bridge.drift_mps)
         self._aided = bool(profiles)
         return Aids(profiles, (antenna.r_e_m[0], antenna.v_e_mps[0]), screen)
 
@@ -147,7 +145,7 @@ class CoupledNavigation:
         events: list[Event] = []
         moves: Mapping[str, Coast] = {}
         for fix in result.fixes:
-            found = self.navigation.take([fix], receiver.nav)
+            found = self.navigation.take([fix])
             states += found
             found_at += [(fix, state) for state in found]
             bridged = self._bridged(fix, found[0] if found else None)
@@ -187,7 +185,7 @@ class CoupledNavigation:
         placed: Mapping[GpsTime, NavSolution] = {}
         if self._placing is not None and self._aided and self.guard.trusted:
             take = self._placing.take
-            placed = {fix.epoch.time: take(fix, receiver.nav, state) for fix, state in found_at}
+            placed = {fix.epoch.time: take(fix, state) for fix, state in found_at}
         return Navigated(
             tuple(states),
             tuple(events),

@@ -20,7 +20,7 @@ from deepgnss.core.records import (
 )
 from deepgnss.core.time import GpsTime
 from deepgnss.io.rinex_obs_reader import read_obs
-from deepgnss.receiver.measured import ranges_from
+from deepgnss.receiver.measured import measure, ranges_from
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.weights import ErrorModel
 
@@ -53,7 +53,7 @@ def range_corrections(base: Path, nav: NavData) -> dict[str, RangeCorrections]:
             and math.isfinite(float(rows[code].iloc[k]))
         )
         epoch = Epoch(time, SampleInstant(0, 0.0), observations)
-        seen = ranges_from(epoch, nav, open_sky, read.position_e_m)
+        seen = ranges_from(measure(epoch, nav), open_sky, read.position_e_m)
         for satellite, misfit_m in zip(seen.satellites, seen.misfit_m, strict=True):
             found.setdefault(satellite, []).append((time.since(first), float(misfit_m)))
     if not found:

@@ -16,7 +16,7 @@ import numpy as np
 
 from deepgnss.core.errors import NumericalError
 from deepgnss.core.frames import C_ne
-from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade, NavData
+from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.tight import CounterLine, range_epoch
 from deepgnss.ins import (
@@ -159,11 +159,8 @@ class Navigation:
 
     # --- after it ----------------------------------------------------------------------------
 
-    def take(self, fixes: Sequence[Fix], nav: NavData | None = None) -> list[NavigationState]:
-        """Go on to the tags of an epoch with what they hold; the states there.
-
-        nav: for the ranges of tight coupling.
-        """
+    def take(self, fixes: Sequence[Fix]) -> list[NavigationState]:
+        """Go on to the tags of an epoch with what they hold; the states there."""
         states = []
         for fix in fixes:
             apart_s = self._apart_s(fix.epoch.time)
@@ -177,7 +174,7 @@ class Navigation:
                 self._align(time_s)
                 continue
             start = self._coupling.antenna()
-            ranges = self._ranges(fix, nav, start.r_e_m, apart_s)
+            ranges = self._ranges(fix, start.r_e_m, apart_s)
             taken = Instant(time_s, gnss if ranges is None else None, ranges)
             self._go_on(self._coupling, taken)
             if self._coupling is not None:
@@ -191,17 +188,15 @@ class Navigation:
         apart_s = time.since(self._placed) if self._placed is not None else LASTING_S
         return max(apart_s, 1e-3)
 
-    def _ranges(
-        self, fix: Fix, nav: NavData | None, r_e_m: FloatArray, apart_s: float
-    ) -> RangeEpoch | None:
+    def _ranges(self, fix: Fix, r_e_m: FloatArray, apart_s: float) -> RangeEpoch | None:
         """A tag's ranges for tight coupling."""
         inputs = self._inputs
-        if inputs.ranging is None or nav is None or not fix.epoch.observations:
+        if inputs.ranging is None or not fix.epoch.observations:
             return None
         self._line = self._line or CounterLine(fix.epoch.time, fix.epoch.counter)
         together = lasting_together(LASTING_S, apart_s)
         found = range_epoch(
-            fix, nav, inputs.ranging, r_e_m, inputs.systems, self._line, LASTING_M, together
+            fix, inputs.ranging, r_e_m, inputs.systems, self._line, LASTING_M, together
         )
         self._placed = self._placed if found is None else fix.epoch.time
         return found

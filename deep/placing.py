@@ -25,7 +25,7 @@ import numpy as np
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne, geodetic
-from deepgnss.core.records import FloatArray, NavData, NavSolution
+from deepgnss.core.records import FloatArray, NavSolution
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.navigation import LASTING_M, Antenna, NavigationState
 from deepgnss.receiver import pvt
@@ -47,7 +47,7 @@ class Placing:
         self._parameters = replace(parameters, errors=errors)
         self._last: NavSolution | None = None
 
-    def take(self, fix: Fix, nav: NavData, state: NavigationState) -> NavSolution:
+    def take(self, fix: Fix, state: NavigationState) -> NavSolution:
         """The position of a tag with what the navigation expected there; without, if that fails.
 
         Who was refused by the outlier test stays out; RAIM judges anew, with one who knows better.
@@ -59,7 +59,9 @@ class Placing:
         if horizontal_sigma_m(place.covariance_m2, place.r_e_m) > LOOSEST_M:
             return own
         refused = {s: why for s, why in own.rejected.items() if why.startswith(_BY_SCREEN)}
-        found = pvt.solve(fix.epoch, nav, self._parameters, self._last or own, refused, place)
+        found = pvt.solve_measured(
+            fix.measured, self._parameters, self._last or own, refused, place
+        )
         if not found.valid:
             return own if own.valid else _by_dead_reckoning(fix.epoch.time, place, found)
         self._last = found

@@ -21,15 +21,16 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne, geodetic
-from deepgnss.core.records import Epoch, FloatArray, NavData
+from deepgnss.core.records import Epoch, FloatArray
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.tight import CLOCK_NOISE
-from deepgnss.ins.filter import correct
+from deepgnss.ins.filter import correct, innovation_limit, squared_innovation
 from deepgnss.ins.trajectory import Trajectory
-from deepgnss.receiver.measured import NOBODY_REFUSED, Ranges, ranges_from
+from deepgnss.receiver.measured import NOBODY_REFUSED, Measured, Ranges, ranges_from
 from deepgnss.receiver.pvt import PvtParameters
 from deepgnss.receiver.raim import check_residuals
 from deepgnss.receiver.receiver import Screen
@@ -133,7 +134,6 @@ class Screening:
         self,
         trajectory: Trajectory,
         lever_b_m: FloatArray,
-        nav: NavData,
         drift: tuple[float, float] | None = None,
     ) -> Screen:
         """The test of the tags that a stretch of navigation reaches.
@@ -145,10 +145,10 @@ class Screening:
             self.forget()
             way = self._way = _Way(trajectory, lever_b_m)
 
-        def screen(epoch: Epoch) -> Mapping[str, str]:
-            if not way.to(epoch.time.since(trajectory.origin)):
+        def screen(measured: Measured) -> Mapping[str, str]:
+            if not way.to(measured.epoch.time.since(trajectory.origin)):
                 return NOBODY_REFUSED
-            return self._refused(epoch, nav, way, drift)
+            return self._refused(measured, way, drift)
 
         return screen
 
@@ -165,14 +165,15 @@ class Screening:
         self._time = self._way = None
 
     def _refused(
-        self, epoch: Epoch, nav: NavData, way: _Way, drift: tuple[float, float] | None
+        self, measured: Measured, way: _Way, drift: tuple[float, float] | None
     ) -> Mapping[str, str]:
         """Refused satellites of a tag, to which the way leads, and why."""
+        epoch = measured.epoch
         first = self._time is None
         self._r_e_m = way.r_e_m if first else self._r_e_m + way.step_e_m
         grown = way.covariance_e_m2 if first else way.grown_e_m2
         way.step_e_m, way.grown_e_m2 = np.zeros(3), np.zeros((3, 3))
-        seen = ranges_from(epoch, nav, self.parameters, self._r_e_m)
+        seen = ranges_from(measured, self.parameters, self._r_e_m)
         if not seen.satellites:
             return NOBODY_REFUSED
         misfit_m = seen.misfit_m + self._counter_m(epoch)
@@ -268,7 +269,23 @@ class Screening:
         self, H: FloatArray, misfit_m: FloatArray, sigma_m: FloatArray, passed_s: float
     ) -> bool:
         """Follow the ranges that agree with each other and with what is known; False: none do."""
+        clean = self._agreeing(H, misfit_m, sigma_m)
+        if clean.size == 0:
+            return False
+        together = max(1.0, 2.0 * _LASTING_S / passed_s) if passed_s else 1.0
+        R = np.diag(sigma_m[clean] ** 2 * together)
+        self._x, self._P, _, _ = correct(self._x, self._P, misfit_m[clean], H[clean], R)
+        return True
+
+    def _agreeing(
+        self, H: FloatArray, misfit_m: FloatArray, sigma_m: FloatArray
+    ) -> NDArray[np.intp]:
+        """Rows of sound ranges; none where it cannot be told which they are."""
         count, size = H.shape
+        rows = np.arange(count)
+        nis = squared_innovation(self._x, self._P, misfit_m, H, np.diag(sigma_m**2))
+        if nis <= innovation_limit(count, _FALSE_ALARM):
+            return rows
         known = np.linalg.inv(np.linalg.cholesky(self._P))
         A = np.vstack([H / sigma_m[:, np.newaxis], known])
         e = np.append((misfit_m - H @ self._x) / sigma_m, np.zeros(size))
@@ -276,19 +293,7 @@ class Screening:
         e = e - q @ (q.T @ e)
         ones = np.ones(count + size)
         verdict = check_residuals(A, e, ones, _FALSE_ALARM, excludable=count)
-        if not verdict.passed:
-            return False
-        clean = np.delete(np.arange(count), verdict.excluded)
-        if clean.size == 0:
-            return False
-        together = max(1.0, 2.0 * _LASTING_S / passed_s) if passed_s else 1.0
-        H, sigma_m = H[clean], sigma_m[clean]
-        S = H @ self._P @ H.T + np.diag(sigma_m**2 * together)
-        K = np.linalg.solve(S, H @ self._P).T
-        self._x = self._x + K @ (misfit_m[clean] - H @ self._x)
-        remaining = np.eye(size) - K @ H
-        self._P = remaining @ self._P @ remaining.T + K * (sigma_m**2 * together) @ K.T
-        return True
+        return np.delete(rows, verdict.excluded) if verdict.passed else rows[:0]
 
     # --- the verdict -------------------------------------------------------------------------
 

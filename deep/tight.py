@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
-from deepgnss.core.records import Counter, Epoch, FloatArray, NavData
+from deepgnss.core.records import Counter, Epoch, FloatArray
 from deepgnss.core.time import GpsTime
 from deepgnss.ins.ranging import ClockNoise, RangeEpoch, RangeObservation
 from deepgnss.receiver.measured import ranges_from
@@ -52,7 +52,6 @@ def clock_sigmas(systems: Sequence[str]) -> FloatArray:
 
 def range_epoch(
     fix: Fix,
-    nav: NavData,
     parameters: PvtParameters,
     r_e_m: FloatArray,
     systems: Sequence[str],
@@ -72,7 +71,7 @@ def range_epoch(
     rejected = fix.solution.rejected
     by_doppler = {s for s, reason in rejected.items() if reason.startswith("Doppler")}
     refused = {s: reason for s, reason in rejected.items() if s not in by_doppler}
-    seen = ranges_from(fix.epoch, nav, parameters, r_e_m, refused)
+    seen = ranges_from(fix.measured, parameters, r_e_m, refused)
     off_m, off_mps = line.off(fix.epoch)
     found = tuple(
         RangeObservation(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
@@ -16,14 +17,13 @@ from deepgnss.receiver.weights import PvtParameters, delays, range_sigma, rate_s
 
 NOBODY_REFUSED: Mapping[str, str] = MappingProxyType({})
 
-_NOBODY = orbits.SatelliteStates(np.zeros((0, 3)), np.zeros((0, 3)), *(np.zeros(0),) * 3)
-
 
 class Measured(NamedTuple):
-    """Observations that have an ephemeris, as columns."""
+    """An epoch's observations that have an ephemeris, as columns."""
 
+    epoch: Epoch
+    nav: NavData
     satellites: tuple[str, ...]
-    usable: NDArray[np.bool_]  # False: unhealthy, or refused by somebody else
     ephemerides: tuple[Ephemeris, ...]
     states: orbits.SatelliteStates
     ranges_m: FloatArray  # pseudorange with the satellite clock taken off
@@ -31,50 +31,63 @@ class Measured(NamedTuple):
     carriers_hz: FloatArray
     cn0_dbhz: FloatArray
     rate_sigmas_mps: FloatArray  # as the loops have them; NaN where C/N0 tells
+    unusable: Mapping[str, str]  # satellites of the epoch that are of no use, and why
+
+    def without(self, refused: Mapping[str, str]) -> tuple[NDArray[np.bool_], dict[str, str]]:
+        """Rows that are left without satellites somebody else refused; why others are not."""
+        rejected = {
+            one.satellite: why
+            for one in self.epoch.observations
+            if (why := self.unusable.get(one.satellite) or refused.get(one.satellite))
+        }
+        return np.array([name not in rejected for name in self.satellites], dtype=bool), rejected
 
 
-def measure(
-    epoch: Epoch, nav: NavData, refused: Mapping[str, str] = NOBODY_REFUSED
-) -> tuple[Measured, dict[str, str]]:
-    """Observations with their satellites' states, and why others were left out."""
-    rejected: dict[str, str] = {}
+def measure(epoch: Epoch, nav: NavData) -> Measured:
+    """Observations with their satellites' states."""
+    unusable: dict[str, str] = {}
     chosen: list[tuple[Observation, Ephemeris]] = []
     for observation in epoch.observations:
         satellite = observation.satellite
         ephemeris = orbits.select(nav, satellite, epoch.time)
         if ephemeris is None:
-            rejected[satellite] = "no ephemeris"
-        elif not np.isfinite(observation.pseudorange_m):
-            rejected[satellite] = "no pseudorange"
+            unusable[satellite] = "no ephemeris"
+        elif not math.isfinite(observation.pseudorange_m):
+            unusable[satellite] = "no pseudorange"
         else:
             chosen.append((observation, ephemeris))
             if ephemeris.health != 0:
-                rejected[satellite] = "unhealthy"
-            elif satellite in refused:
-                rejected[satellite] = refused[satellite]
+                unusable[satellite] = "unhealthy"
             elif nav.corrections is not None and satellite not in nav.corrections:
-                rejected[satellite] = "no correction of the base's"
-    observations = tuple(observation for observation, _ in chosen)
+                unusable[satellite] = "no correction of the base's"
     ephemerides = tuple(ephemeris for _, ephemeris in chosen)
-    readings_s = np.array([o.transmit.since(epoch.time) for o in observations])
-    carriers_hz = np.array([SIGNAL_IDS[o.signal].carrier_hz for o in observations])
-    dopplers_hz = np.array([o.doppler_hz for o in observations])
-    states = orbits.transmitted_states(ephemerides, epoch.time, readings_s) if chosen else _NOBODY
-    measured = Measured(
-        satellites=tuple(o.satellite for o in observations),
-        usable=np.array([o.satellite not in rejected for o in observations], dtype=bool),
+    rows = [
+        (
+            one.transmit.since(epoch.time),
+            one.pseudorange_m - _correction_m(nav, one, epoch),
+            one.doppler_hz,
+            one.doppler_sigma_hz,
+            one.cn0_dbhz,
+            SIGNAL_IDS[one.signal].carrier_hz,
+        )
+        for one, _ in chosen
+    ]
+    columns = np.array(rows, dtype=np.float64).reshape(-1, 6).T.copy()
+    readings_s, ranges_m, dopplers_hz, doppler_sigmas_hz, cn0_dbhz, carriers_hz = columns
+    states = orbits.transmitted_states(ephemerides, epoch.time, readings_s)
+    return Measured(
+        epoch,
+        nav,
+        satellites=tuple(one.satellite for one, _ in chosen),
         ephemerides=ephemerides,
         states=states,
-        ranges_m=np.array([o.pseudorange_m - _correction_m(nav, o, epoch) for o in observations])
-        + SPEED_OF_LIGHT_MPS * (states.clock_s - states.group_delay_s),
+        ranges_m=ranges_m + SPEED_OF_LIGHT_MPS * (states.clock_s - states.group_delay_s),
         rates_mps=-SPEED_OF_LIGHT_MPS / carriers_hz * dopplers_hz,
         carriers_hz=carriers_hz,
-        cn0_dbhz=np.array([o.cn0_dbhz for o in observations]),
-        rate_sigmas_mps=SPEED_OF_LIGHT_MPS
-        / carriers_hz
-        * np.array([o.doppler_sigma_hz for o in observations]),
+        cn0_dbhz=cn0_dbhz,
+        rate_sigmas_mps=SPEED_OF_LIGHT_MPS / carriers_hz * doppler_sigmas_hz,
+        unusable=unusable,
     )
-    return measured, rejected
 
 
 def _correction_m(nav: NavData, observation: Observation, epoch: Epoch) -> float:
@@ -102,19 +115,24 @@ class Ranges(NamedTuple):
 
 
 def ranges_from(
-    epoch: Epoch,
-    nav: NavData,
+    measured: Measured,
     parameters: PvtParameters,
     r_e_m: FloatArray,
     refused: Mapping[str, str] = NOBODY_REFUSED,
 ) -> Ranges:
     """Ranges of the usable satellites above the mask, seen from the antenna's place (3,), ECEF."""
-    measured, _ = measure(epoch, nav, refused)
-    states, ephemerides = measured.states, measured.ephemerides
+    usable, _ = measured.without(refused)
+    states = measured.states
     sight = orbits.line_of_sight(r_e_m, np.zeros(3), states)
     azimuth, elevation = orbits.directions(r_e_m, sight)
     delays_m, variance_m2 = delays(
-        nav, parameters, epoch.time, r_e_m, azimuth, elevation, measured.carriers_hz
+        measured.nav,
+        parameters,
+        measured.epoch.time,
+        r_e_m,
+        azimuth,
+        elevation,
+        measured.carriers_hz,
     )
     errors, cn0_dbhz = parameters.errors, measured.cn0_dbhz
     still = sight.range_rate_mps
@@ -129,9 +147,9 @@ def ranges_from(
         range_m=range_m,
         rate_mps=measured.rates_mps + (SPEED_OF_LIGHT_MPS - still) * states.drift_sps,
         cn0_dbhz=cn0_dbhz,
-        sigma_m=range_sigma(errors, ephemerides, elevation, cn0_dbhz, variance_m2),
+        sigma_m=range_sigma(errors, measured.ephemerides, elevation, cn0_dbhz, variance_m2),
         rate_sigma_mps=rate_sigma(errors, cn0_dbhz, measured.rate_sigmas_mps),
     )
-    rows = np.flatnonzero(measured.usable & (elevation >= parameters.elevation_mask_rad))
+    rows = np.flatnonzero(usable & (elevation >= parameters.elevation_mask_rad))
     names = tuple(every.satellites[row] for row in rows)
     return Ranges(names, *(column[rows] for column in every[1:]))

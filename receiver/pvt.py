@@ -11,7 +11,6 @@ not enter the orbit.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +46,7 @@ __all__ = [
     "dilutions",
     "inverse",
     "solve",
+    "solve_measured",
     "unsolved",
 ]
 
@@ -103,14 +103,25 @@ def solve(
     Returns a solution with `valid` False and a reason where there is none. `rejected` also names
     satellites of the position whose Doppler was left out of the velocity ("Doppler: …").
     """
-    measured, rejected = measure(epoch, nav, refused)
+    return solve_measured(measure(epoch, nav), parameters, previous, refused, place)
+
+
+def solve_measured(
+    measured: Measured,
+    parameters: PvtParameters,
+    previous: NavSolution | None = None,
+    refused: Mapping[str, str] = NOBODY_REFUSED,
+    place: Place | None = None,
+) -> NavSolution:
+    """As `solve`, of observations that others look at, too."""
+    time = measured.epoch.time
+    active, rejected = measured.without(refused)
     start_e_m = previous.r_e_m if previous is not None and previous.valid else np.zeros(3)
     start_e_m = start_e_m if place is None else place.r_e_m
-    known = Beside(between_systems(epoch.time, previous), place)
-    active = measured.usable.copy()
+    known = Beside(between_systems(time, previous), place)
     screened = not parameters.raim
     while True:
-        fix = _adjust(epoch, nav, parameters, measured, active, start_e_m, known)
+        fix = _adjust(parameters, measured, active, start_e_m, known)
         if not screened and _is_gross(fix):
             screened = True
             for row, error_m in gross_errors(
@@ -121,7 +132,7 @@ def solve(
             continue
         rejected |= fix.low
         if isinstance(fix, _Failure):
-            return unsolved(epoch.time, fix.reason + _tally(rejected), rejected)
+            return unsolved(time, fix.reason + _tally(rejected), rejected)
         if not parameters.raim:
             break
         rows = np.flatnonzero(fix.used)
@@ -139,7 +150,7 @@ def solve(
             continue
         if not verdict.passed:
             return unsolved(
-                epoch.time,
+                time,
                 f"residuals disagree: chi-square {verdict.statistic:.1f} > {verdict.limit:.1f} "
                 f"over {len(rows)} satellites, too few to tell which is wrong",
                 rejected,
@@ -154,14 +165,11 @@ def solve(
         start_e_m = fix.r_e_m
     height_m = geodetic(fix.r_e_m)[2]
     if not _PLAUSIBLE_HEIGHT_M[0] < height_m < _PLAUSIBLE_HEIGHT_M[1]:
-        return unsolved(epoch.time, f"height of {height_m / 1e3:.0f} km is impossible", rejected)
-    solution = _solution(epoch, parameters, measured, fix, rejected, place)
-    return replace(solution, differential=nav.corrections is not None)
+        return unsolved(time, f"height of {height_m / 1e3:.0f} km is impossible", rejected)
+    return _solution(parameters, measured, fix, rejected, place)
 
 
 def _adjust(
-    epoch: Epoch,
-    nav: NavData,
     parameters: PvtParameters,
     measured: Measured,
     active: NDArray[np.bool_],
@@ -185,7 +193,13 @@ def _adjust(
             used = active & (elevation >= parameters.elevation_mask_rad)
             low = _below_mask(parameters, measured, active, elevation)
             delays_m, variance_m2 = delays(
-                nav, parameters, epoch.time, r_e_m, azimuth, elevation, measured.carriers_hz
+                measured.nav,
+                parameters,
+                measured.epoch.time,
+                r_e_m,
+                azimuth,
+                elevation,
+                measured.carriers_hz,
             )
             sigma_m = range_sigma(
                 parameters.errors, measured.ephemerides, elevation, measured.cn0_dbhz, variance_m2
@@ -334,7 +348,6 @@ def _velocity(
 
 
 def _solution(
-    epoch: Epoch,
     parameters: PvtParameters,
     measured: Measured,
     fix: _Fix,
@@ -356,7 +369,7 @@ def _solution(
     between_m = np.sqrt(np.diagonal(covariance_m2)[4:])
     placed = 0 if place is None else 3  # rows that are no satellites: they dilute nothing
     return NavSolution(
-        time=epoch.time,
+        time=measured.epoch.time,
         valid=True,
         reason="",
         r_e_m=fix.r_e_m,
@@ -388,6 +401,7 @@ def _solution(
                 measured.satellites, fix.azimuth_rad, fix.elevation_rad, strict=True
             )
         },
+        differential=measured.nav.corrections is not None,
     )
 
 

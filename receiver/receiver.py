@@ -36,6 +36,7 @@ from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock, from_ns
 from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.known_symbols import KnownSymbols
+from deepgnss.receiver.measured import Measured, measure
 from deepgnss.receiver.messages import Frame, News, Subframe
 from deepgnss.receiver.modes import AidingSource, Coast, Mode, TrackingSettings
 from deepgnss.receiver.rack import Rack
@@ -71,17 +72,22 @@ class Knowledge:
     symbols: Mapping[str, KnownSymbols] = field(default_factory=dict)
 
 
-Screen = Callable[[Epoch], Mapping[str, str]]
+Screen = Callable[[Measured], Mapping[str, str]]
 """Satellites of a tag whose range must leave the position, and why."""
 
 
 class Fix(NamedTuple):
     """Observations and solution of one tag."""
 
-    epoch: Epoch
+    measured: Measured
     solution: NavSolution
     output: bool  # falls on the output interval
     coasting: tuple[Observation, ...] = ()  # of channels in open loop, by their generators alone
+
+    @property
+    def epoch(self) -> Epoch:
+        """All observations."""
+        return self.measured.epoch
 
 
 @dataclass(frozen=True, slots=True)
@@ -461,14 +467,14 @@ class Receiver:
 
     def _fix(self, tag_ns: int, screen: Screen | None) -> Fix | None:
         output = tag_ns % self.settings.output_ns == 0 and self._steered
-        epoch, coasting = self._epoch(tag_ns, output)
-        if not epoch.observations:
-            return self._unseen(tag_ns, epoch, coasting)
-        refused = screen(epoch) if screen is not None else pvt.NOBODY_REFUSED
+        measured, coasting = self._measured(tag_ns, output)
+        if not measured.epoch.observations:
+            return self._unseen(tag_ns, measured, coasting)
+        refused = screen(measured) if screen is not None else pvt.NOBODY_REFUSED
         for channel in self.channels:
             if channel.satellite in refused:
                 channel.doubt_code()
-        solution = pvt.solve(epoch, self.nav, self.settings.pvt, self.solution, refused)
+        solution = pvt.solve_measured(measured, self.settings.pvt, self.solution, refused)
         if solution.valid and self.clock is not None:
             first = not self._steered
             self.clock = self.clock.steered(
@@ -477,8 +483,8 @@ class Receiver:
             if first:  # observe again: the tag has moved by up to some ms
                 self._steered = True
                 output = tag_ns % self.settings.output_ns == 0
-                epoch, coasting = self._epoch(tag_ns, output)
-                solution = pvt.solve(epoch, self.nav, self.settings.pvt, solution)
+                measured, coasting = self._measured(tag_ns, output)
+                solution = pvt.solve_measured(measured, self.settings.pvt, solution)
         self._last_tag_ns = tag_ns
         self.solution = solution if solution.valid else self.solution
         if solution.valid:
@@ -486,16 +492,19 @@ class Receiver:
         self.accounts.solved(solution)
         if not self._steered:
             return None  # tags are still some ms off
-        return Fix(epoch, solution, output, coasting)
+        return Fix(measured, solution, output, coasting)
 
-    def _unseen(self, tag_ns: int, epoch: Epoch, coasting: tuple[Observation, ...]) -> Fix | None:
+    def _unseen(
+        self, tag_ns: int, measured: Measured, coasting: tuple[Observation, ...]
+    ) -> Fix | None:
         """A tag at which every channel is in open loop, for whoever puts them right."""
         if not coasting or not self._steered:
             return None
         self._last_tag_ns = tag_ns
-        return Fix(epoch, pvt.unsolved(epoch.time, "no signal", {}), False, coasting)
+        unsolved = pvt.unsolved(measured.epoch.time, "no signal", {})
+        return Fix(measured, unsolved, False, coasting)
 
-    def _epoch(self, tag_ns: int, output: bool) -> tuple[Epoch, tuple[Observation, ...]]:
+    def _measured(self, tag_ns: int, output: bool) -> tuple[Measured, tuple[Observation, ...]]:
         """Observations of all banks at a tag, and those of channels in open loop."""
         if self.clock is None:
             raise ValueError("no receiver time")
@@ -510,7 +519,8 @@ class Receiver:
             coasting += tagged.coasting
         instant = self.clock.instant(tag_ns)
         counter = Counter(-self.clock.lag_s(tag_ns, instant), self.clock.drift_sps)
-        return Epoch(time, instant, tuple(received), counter), tuple(coasting)
+        epoch = Epoch(time, instant, tuple(received), counter)
+        return measure(epoch, self.nav), tuple(coasting)
 
     # --- accounts ------------------------------------------------------------------------------
 

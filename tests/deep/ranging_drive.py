@@ -33,6 +33,7 @@ from deepgnss.ins.increments import joined
 from deepgnss.ins.updates import Innovation
 from deepgnss.io.config.imu_grade import imu_grade
 from deepgnss.receiver import pvt
+from deepgnss.receiver.measured import measure
 from deepgnss.receiver.receiver import Fix
 from deepgnss.receiver.signals import BDS_B1I_D1, GPS_L1CA_SIGNAL
 from deepgnss.sim.constellation import nominal
@@ -219,19 +220,20 @@ def drive(
     lever_b_m = np.array(LEVER_M)
     for k, time_s in enumerate(given.times_s):
         epoch = given.epoch(k, fault, bend)
+        measured = measure(epoch, given.nav)
         refused = {}
         way = navigation.ahead(epoch.time.plus(0.02)) if navigation.running else None
         if way is None:
             screening.forget()
         else:
-            screen = screening.along(way, lever_b_m, given.nav, drift)
-            refused = dict(screen(epoch)) if epoch.observations else {}
-        solution = pvt.solve(epoch, given.nav, PARAMETERS, previous, refused)
+            screen = screening.along(way, lever_b_m, drift)
+            refused = dict(screen(measured)) if epoch.observations else {}
+        solution = pvt.solve_measured(measured, PARAMETERS, previous, refused)
         previous = solution if solution.valid else previous
-        fix = Fix(epoch, solution, True)
-        states = navigation.take([fix], given.nav)
+        fix = Fix(measured, solution, True)
+        states = navigation.take([fix])
         if placing is not None and states:
-            out.placed.append(placing.take(fix, given.nav, states[0]))
+            out.placed.append(placing.take(fix, states[0]))
         out.alone.append(solution)
         off, sigma = np.full(3, np.nan), np.full(3, np.nan)
         if states:

@@ -19,7 +19,7 @@ from simulated_sky import (
 )
 
 from deepgnss.core.constants import SECONDS_PER_WEEK
-from deepgnss.core.records import GPS_L1CA, Epoch, Event, NavData, Observation
+from deepgnss.core.records import GPS_L1CA, Event, NavData, Observation
 from deepgnss.core.time import GpsTime
 from deepgnss.io.rinex_obs import ObsHeader, RinexObsWriter
 from deepgnss.receiver import lnav
@@ -28,6 +28,7 @@ from deepgnss.receiver.bank import Head
 from deepgnss.receiver.clock import NS, ReceiverClock, to_ns
 from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.locks import LockState
+from deepgnss.receiver.measured import Measured
 from deepgnss.receiver.modes import AidingRate, AidingSource, Coast, Mode, TrackingSettings
 from deepgnss.receiver.receiver import Knowledge, Receiver, ReceiverSettings
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL
@@ -107,9 +108,9 @@ def test_a_screened_range_leaves_the_position_and_stays_observed() -> None:
     knowledge = Knowledge(sky.scenario.nav, sky.scenario.start, _true_clock(), place_e_m)
     receiver, feed, asked = _receiver(knowledge), {"GPS_L1CA": _feed()}, []
 
-    def screen(epoch: Epoch) -> dict[str, str]:
-        asked.append(epoch.time)
-        return {epoch.observations[0].satellite: "range 12.0 m off"}
+    def screen(measured: Measured) -> dict[str, str]:
+        asked.append(measured.epoch.time)
+        return {measured.epoch.observations[0].satellite: "range 12.0 m off"}
 
     fixes = [
         fix
