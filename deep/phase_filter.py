@@ -17,6 +17,7 @@ Errors are estimate − truth; clock and phases grow with range.
 from __future__ import annotations
 
 import math
+from statistics import median
 from typing import Final
 
 import numpy as np
@@ -267,7 +268,7 @@ def common_jump(innovation: FloatArray, covariance: FloatArray, limit: float) ->
     """What most of three or more have in common beyond the prediction, None if nothing."""
     if innovation.size < 3:
         return None
-    middle = float(np.median(innovation))
+    middle = median(innovation.tolist())
     sigma = np.sqrt(np.diagonal(covariance))
     jumped = np.abs(innovation) > limit * sigma
     alike = np.abs(innovation - middle) < limit * sigma

@@ -13,6 +13,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from statistics import median
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -138,7 +139,7 @@ class Watch:
         for limit in LIMITS:
             strain, epochs = self._mean(now_s, limit.seconds)
             if limit is LIMITS[0]:  # a few wild fixes, as after a tunnel, are not its fault
-                strain = min(strain, float(np.median(self._strains[-epochs:])))
+                strain = min(strain, median(self._strains[-epochs:]))
             if epochs >= limit.epochs and strain > limit.strain:
                 times = f"{math.sqrt(strain):.1f}" if strain < _CAP else "more than 3"
                 return (
@@ -163,7 +164,7 @@ def _by_epoch(innovations: Sequence[Innovation]) -> list[tuple[GpsTime, float]]:
             _, kinds = epochs.setdefault(round(i.time.since(first), 4), (i.time, {}))
             kinds.setdefault(i.kind, []).append(i.nis / i.innovation.size)
     return [
-        (time, min(max(float(np.median(values)) for values in kinds.values()), _CAP))
+        (time, min(max(median(values) for values in kinds.values()), _CAP))
         for time, kinds in epochs.values()
     ]
 

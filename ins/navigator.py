@@ -10,6 +10,7 @@ error back. Both return a new navigator; nothing changes in place.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import median
 from typing import Final
 
 import numpy as np
@@ -210,7 +211,7 @@ def _without_gaps(
     done = 0
     if block.dt_s.size == 0:
         return block, bridged, None
-    usual_s = max(float(np.median(block.dt_s)), before.dt_s if before else 0.0)  # some may be cut
+    usual_s = max(median(block.dt_s.tolist()), before.dt_s if before else 0.0)  # some may be cut
     for row, gap in gaps(block, start_s, usual_s):
         pieces.append(rows(block, done, row))
         done = row
