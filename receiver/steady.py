@@ -11,6 +11,7 @@ No lock of the interpreter is held, so that the channels of two streams run at t
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
@@ -152,6 +153,7 @@ class Update(NamedTuple):
         )
 
 
+@cache
 def records(kind: type[NamedTuple]) -> np.dtype[np.void]:
     """How arrays of a tuple of integers and floats are made up."""
     fields = [(name, np.dtype(of)) for name, of in get_type_hints(kind).items()]

@@ -109,6 +109,9 @@ class SteadyGroup:
         self._taken = np.zeros((count, periods, one.taps_chips.size), dtype=np.complex128)
         self._states = np.zeros(count, records(State))
         self._told = np.zeros((count, updates), records(Update))
+        # Records have attributes in compiled code; in plain Python it takes these views.
+        self._state_records = self._states.view(np.recarray)
+        self._told_records = self._told.view(np.recarray)
         self._symbols = np.zeros((count, updates, of_update), dtype=np.uint8)
         self._sources = [aiding.get(channel.satellite, unaided) for channel in channels]
         most = max(s.cycles.size if isinstance(s, Profile) else 0 for s in self._sources)
@@ -135,11 +138,11 @@ class SteadyGroup:
             self._taps_chips,
             self._secondary,
             self._shifts,
-            self._states.view(np.recarray),  # whose records have attributes in plain Python, too
+            self._state_records,
             self._recent,
             self._taken,
             self._cycles,
-            self._told.view(np.recarray),
+            self._told_records,
             self._symbols,
         )
         stopped = np.flatnonzero(self._states["stopped"]).tolist()
