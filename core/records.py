@@ -65,17 +65,50 @@ class StreamInfo:
     sample_count: int  # in the whole recording
 
 
+Samples = NDArray[np.int8] | NDArray[np.int16]
+
+
+@dataclass(frozen=True, slots=True)
+class PackedSamples:
+    """Samples as their file packs them, each byte by itself.
+
+    data: uint8, shape (bytes,). table: the samples of every byte, int8 or int16, shape
+    (256, per byte) real or (256, per byte, 2) as I, Q. skip: samples of the first byte that come
+    before these `count`.
+    """
+
+    data: NDArray[np.uint8]
+    table: Samples
+    skip: int
+    count: int
+
+    def unpacked(self) -> Samples:
+        """The samples themselves, shape (count,) real or (count, 2)."""
+        samples = self.table.take(self.data, axis=0).reshape(-1, *self.table.shape[2:])
+        return samples[self.skip : self.skip + self.count]
+
+
 @dataclass(frozen=True, slots=True)
 class SampleBlock:
     """Consecutive samples of one stream.
 
-    samples: int8 or int16, shape (n,) real or (n, 2) as I, Q. `first` is the index of its first
-    sample since the start of the recording.
+    held: int8 or int16, shape (n,) real or (n, 2) as I, Q; or packed, until somebody wants
+    `samples`. `first` is the index of its first sample since the start of the recording.
     """
 
     stream: StreamInfo
     first: int
-    samples: NDArray[np.int8] | NDArray[np.int16]
+    held: Samples | PackedSamples
+
+    @property
+    def samples(self) -> Samples:
+        """The samples unpacked."""
+        return self.held.unpacked() if isinstance(self.held, PackedSamples) else self.held
+
+    @property
+    def count(self) -> int:
+        """Number of samples."""
+        return self.held.count if isinstance(self.held, PackedSamples) else len(self.held)
 
 
 @dataclass(frozen=True, slots=True)

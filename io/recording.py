@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import mmap
+import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Protocol, Self
@@ -18,9 +19,9 @@ import h5py
 import numpy as np
 
 from deepgnss.core.errors import RecordingError
-from deepgnss.core.records import SampleBlock, StreamInfo
+from deepgnss.core.records import PackedSamples, SampleBlock, Samples, StreamInfo
 from deepgnss.io.formats import StreamFormat
-from deepgnss.io.samples import FLOAT_RMS, Bytes, Samples, arrange, unpack_values
+from deepgnss.io.samples import FLOAT_RMS, Bytes, arrange, samples_by_byte, unpack_values
 
 
 class ByteSource(Protocol):
@@ -60,7 +61,7 @@ class FileBytes:
 
     def read(self, first: int, last: int) -> Bytes:
         """Bytes [first, last), a view; a file that shrank meanwhile is an error."""
-        size = self._path.stat().st_size
+        size = os.fstat(self._file.fileno()).st_size
         if size < last:
             raise RecordingError(
                 f"{self._path}: shrank from {self.size} to {size} bytes while it was read"
@@ -114,6 +115,7 @@ class _Stream:
     source: ByteSource
     origin: str  # file (and dataset) for messages
     float_factor: float
+    by_byte: Samples | None  # `samples_by_byte`
 
 
 class Recording:
@@ -219,9 +221,9 @@ class Recording:
             is_complex=stream.samples == "iq",
             sample_count=count,
         )
-        opened = _Stream(info, stream, source, origin, 1.0)
+        opened = _Stream(info, stream, source, origin, 1.0, samples_by_byte(stream))
         if stream.format == "float32":
-            opened = _Stream(info, stream, source, origin, _float_factor(opened))
+            opened = replace(opened, float_factor=_float_factor(opened))
         return opened, notes
 
 
@@ -282,8 +284,12 @@ def _count_samples(stream: StreamFormat, size: int, origin: str) -> tuple[int, t
     return frames, ()
 
 
-def _read_samples(s: _Stream, first: int, count: int) -> Samples:
-    """Samples [first, first + count): shape (count,) real or (count, 2)."""
+def _read_samples(s: _Stream, first: int, count: int) -> Samples | PackedSamples:
+    """Samples [first, first + count): shape (count,) real or (count, 2), or as they are packed."""
+    if s.by_byte is not None:
+        first_byte, skip = divmod(first, s.by_byte.shape[1])
+        data = _read_payload(s, first_byte, -(-(first + count) // s.by_byte.shape[1]))
+        return PackedSamples(data, s.by_byte, skip, count)
     stream = s.format
     first_value = first * stream.values_per_frame
     last_value = first_value + count * stream.values_per_frame

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepgnss.core.jit import kernel
-from deepgnss.io.formats import Packing, StreamFormat
+from deepgnss.core.records import Samples
+from deepgnss.io.formats import Block, Packing, StreamFormat
 
 Bytes = NDArray[np.uint8]
-Samples = NDArray[np.int8] | NDArray[np.int16]
 
 FLOAT_RMS = 1024.0  # rms of int16 samples made from float32 ones: 60 dB below and 30 dB above it
 
@@ -57,26 +56,6 @@ def byte_table(value_bits: int, packing: Packing) -> Samples:
         shift = shift[::-1]
     table: Samples = level_table(value_bits, packing)[(byte >> shift) & ((1 << value_bits) - 1)]
     return table
-
-
-@lru_cache(maxsize=16)
-def _byte_numbers(
-    value_bits: int, packing: Packing
-) -> tuple[NDArray[np.unsignedinteger[Any]] | None, np.dtype[Any]]:
-    """`byte_table` with the values of each byte side by side in one number, and their type.
-
-    None where no number is long enough.
-    """
-    table = byte_table(value_bits, packing)
-    size = table[0].nbytes
-    return table.view(f"u{size}")[:, 0] if size <= 8 else None, table.dtype
-
-
-@kernel
-def replace_bytes(data: Bytes, table: NDArray[Any], out: NDArray[Any]) -> None:
-    """out[n] = table[data[n]]; shapes (n,), (256,), (n,)."""
-    for n in range(data.size):
-        out[n] = table[data[n]]
 
 
 @kernel
@@ -182,12 +161,7 @@ def unpack_values(data: Bytes, stream: StreamFormat, float_factor: float) -> Sam
     if (shift, width) == (0, 8 * packing.word_bytes):
         if packing.order == "msb_first" and packing.word_bytes > 1:
             data = data.reshape(-1, packing.word_bytes)[:, ::-1].ravel()
-        numbers, kind = _byte_numbers(bits, packing)
-        if numbers is None:
-            return byte_table(bits, packing).take(data, axis=0).reshape(-1)
-        out = np.empty(data.size, numbers.dtype)
-        replace_bytes(data, numbers, out)
-        return out.view(kind)
+        return byte_table(bits, packing).take(data, axis=0).reshape(-1)
     levels = level_table(bits, packing)
     fields = np.empty(data.size // packing.word_bytes * stream.values_per_word, levels.dtype)
     msb_first = packing.order == "msb_first"
@@ -217,3 +191,21 @@ def arrange(values: Samples, stream: StreamFormat) -> Samples:
         pick_channel(frames, stream.components, stream.channels.index, swap, negate, lowest, out)
         frames = out
     return frames if stream.samples == "iq" else frames.reshape(-1)
+
+
+def samples_by_byte(stream: StreamFormat) -> Samples | None:
+    """The samples of every byte, shape (256, per byte) real or (256, per byte, 2) as I, Q.
+
+    None where a byte does not hold samples whole, in the order of time, by itself.
+    """
+    packing = stream.packing
+    if packing.order == "lsb_first" and stream.word_field == (0, 8 * packing.word_bytes):
+        packing = replace(packing, word_bytes=1, field=None)  # words that are bytes in a row
+    if not stream.is_packed or packing.word_bytes > 1:
+        return None
+    alone = replace(stream, packing=packing, block=Block())
+    if alone.values_per_word % alone.values_per_frame:
+        return None
+    samples = arrange(unpack_values(np.arange(256, dtype=np.uint8), alone, 1.0), alone)
+    table: Samples = samples.reshape(256, -1, *samples.shape[1:])
+    return table

@@ -17,8 +17,10 @@ from deepgnss.core.records import (
     ComplexArray,
     FloatArray,
     NcoCommand,
+    PackedSamples,
     RunningSums,
     SampleBlock,
+    Samples,
     StreamInfo,
 )
 from deepgnss.receiver.signals import CodeRuns
@@ -57,6 +59,34 @@ def sum_complex(
             entry += 1
             left = thin
     return total, entry
+
+
+@kernel
+def sum_packed(
+    data: NDArray[np.uint8],
+    skip: int,
+    increments: tuple[NDArray[np.int64], ...],
+    total: np.int64,
+    out: NDArray[np.int64],
+) -> None:
+    """As `sum_complex` without thinning, straight from the bytes the samples are packed in.
+
+    increments: (256,) for each sample of a byte: what those up to it add. skip: samples of the
+    first byte that come before. out: (samples,), not empty.
+    """
+    per_byte = len(increments)
+    if skip > 0:
+        total -= increments[skip - 1][data[0]]
+    for k in range(skip, min(per_byte, skip + out.size)):
+        out[k - skip] = total + increments[k][data[0]]
+    total += increments[per_byte - 1][data[0]]
+    rest, whole = out[per_byte - skip :], data[1 : (skip + out.size) // per_byte]
+    for b in range(whole.size):
+        for k in range(per_byte):
+            rest[b * per_byte + k] = total + increments[k][whole[b]]
+        total = rest[b * per_byte + per_byte - 1]
+    for k in range(rest.size - whole.size * per_byte):
+        rest[whole.size * per_byte + k] = total + increments[k][data[data.size - 1]]
 
 
 @kernel
@@ -336,6 +366,7 @@ class RunningSumBuffer:
         self._thin = max(1, int(stream.sample_rate_hz / (1.023e6 * _SAMPLES_PER_CHIP)))
         self._packed = np.zeros(capacity // self._thin + 2, dtype=np.int64)
         self._table: NDArray[np.int64] | None = None
+        self._increments: tuple[NDArray[np.int64], ...] = ()  # of a stream packed in bytes
         self._scale = 1.0
         self._carrier_hz = carrier_hz
         self._entries = 1
@@ -360,31 +391,50 @@ class RunningSumBuffer:
         """Sum the next block, which must start where the last one ended and fit the window."""
         if block.first != self.end:
             raise ValueError(f"block starts at sample {block.first}, expected {self.end}")
-        samples = block.samples if block.samples.ndim == 2 else block.samples[:, np.newaxis]
-        self._make_room(samples.shape[0])
-        lead = self._thin - self.end % self._thin
+        count = block.count
+        self._make_room(count)
         out = self._packed[self._entries :]
-        mixed = self._increment != 0 or samples.shape[1] == 1
-        if mixed and self._table is None:
+        held, mixed = block.held, self._increment != 0 or not block.stream.is_complex
+        with np.errstate(over="ignore"):  # as plain Python the wrap-around would be remarked on
+            if isinstance(held, PackedSamples) and not mixed and self._thin == 1:
+                self._sum_packed(held, out[:count])
+                written = count
+            else:
+                written = self._sum(block.samples, mixed, out)
+        self._entries += written
+        self.end += count
+
+    def _sum_packed(self, held: PackedSamples, out: NDArray[np.int64]) -> None:
+        if not self._increments:
+            values = held.table.astype(np.int64)
+            self._increments = (
+                *np.cumsum((values[..., 0] << 32) + values[..., 1], axis=1).T.copy(),
+            )
+        if held.count:
+            sum_packed(held.data, held.skip, self._increments, self._total, out)
+            self._total = out[-1]
+
+    def _sum(self, samples: Samples, mixed: bool, out: NDArray[np.int64]) -> int:
+        """Entries written."""
+        lead = self._thin - self.end % self._thin
+        if not mixed:
+            self._total, written = sum_complex(samples, self._total, lead, self._thin, out)
+            return written
+        if self._table is None:
             amplitude = _AMPLITUDE[samples.dtype.itemsize]
             self._table = _mixing_table(amplitude)
             self._scale = 1.0 / amplitude
-        with np.errstate(over="ignore"):  # as plain Python the wrap-around would be remarked on
-            if self._table is None:
-                self._total, written = sum_complex(samples, self._total, lead, self._thin, out)
-            else:
-                self._total, written = sum_mixed(
-                    samples,
-                    self._total,
-                    lead,
-                    self._thin,
-                    np.uint64(self._increment * self.end % 2**64),
-                    np.uint64(self._increment),
-                    self._table,
-                    out,
-                )
-        self._entries += written
-        self.end += samples.shape[0]
+        self._total, written = sum_mixed(
+            samples if samples.ndim == 2 else samples[:, np.newaxis],
+            self._total,
+            lead,
+            self._thin,
+            np.uint64(self._increment * self.end % 2**64),
+            np.uint64(self._increment),
+            self._table,
+            out,
+        )
+        return written
 
     def keep_from(self, sample: int) -> None:
         """Samples before this one are not needed any more; their room is used when it runs out."""
@@ -394,9 +444,9 @@ class RunningSumBuffer:
         if self._entries + samples // self._thin + 1 <= self._packed.size:
             return
         drop = min(max(0, (self._needed - self.first) // self._thin), self._entries - 1)
-        kept = self._packed[drop : self._entries].copy()
-        self._packed[: kept.size] = kept
-        self._entries = kept.size
+        kept = self._entries - drop
+        self._packed[:kept] = self._packed[drop : self._entries]
+        self._entries = kept
         self.first += drop * self._thin
         if self._entries + samples // self._thin + 1 > self._packed.size:
             raise ValueError(f"{samples} more samples do not fit the window of running sums")
@@ -416,13 +466,15 @@ class RunningSumBuffer:
 
 def running_sums(block: SampleBlock, carrier_hz: float) -> RunningSums:
     """Running sum of a single block mixed to zero at an RF carrier frequency."""
-    buffer = RunningSumBuffer(block.stream, carrier_hz, block.samples.shape[0] + 1)
+    buffer = RunningSumBuffer(block.stream, carrier_hz, block.count + 1)
     buffer.restart(block.first)
     skipped = block.first - buffer.first  # entries stand at multiples of the thinning
     if skipped:
         skipped = buffer.grain - skipped
-        buffer.restart(block.first + skipped)
-    buffer.append(SampleBlock(block.stream, block.first + skipped, block.samples[skipped:]))
+        first = block.first + skipped
+        buffer.restart(first)
+        block = SampleBlock(block.stream, first, block.samples[skipped:])
+    buffer.append(block)
     return buffer.sums
 
 

@@ -333,7 +333,7 @@ class _Mangled:
         block = self._sky.read(stream, first, count)
         samples = block.samples.copy()
         samples[max(0, self._from - first) :] = 1
-        return replace(block, samples=samples)
+        return replace(block, held=samples)
 
 
 def test_nothing_looks_ahead() -> None:

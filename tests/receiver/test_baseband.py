@@ -20,7 +20,7 @@ from sampled_code import (
     stream,
 )
 
-from deepgnss.core.records import RunningSums, SampleBlock, StreamInfo
+from deepgnss.core.records import PackedSamples, RunningSums, SampleBlock, StreamInfo
 from deepgnss.receiver.baseband import RunningSumBuffer, correlate, resample, running_sums
 from deepgnss.receiver.signals import ca_code, code_runs
 
@@ -219,6 +219,28 @@ def test_pieces_make_no_difference(info: StreamInfo, cuts: list[int], data: st.D
     assert dropped - pieces.first < pieces.grain or pieces.first == 0
     skip = pieces.first // pieces.grain
     np.testing.assert_array_equal(pieces.sums.packed, at_once.sums.packed[skip:])
+
+
+@pytest.mark.parametrize("per_byte", [1, 2, 4])
+@pytest.mark.parametrize("info", [stream(2.6e6), stream(4.0e6, intermediate_hz=0.42e6)])
+@given(cuts=st.lists(st.integers(1, 300), max_size=8))
+@settings(deadline=None, derandomize=True, max_examples=25)
+def test_packed_samples_add_up_to_the_same_bits(
+    info: StreamInfo, per_byte: int, cuts: list[int]
+) -> None:
+    """Bytes cut anywhere between their samples, against the samples themselves."""
+    generator = np.random.default_rng([per_byte, *cuts])
+    table = generator.integers(-128, 127, (256, per_byte, 2), endpoint=True).astype(np.int8)
+    data = generator.integers(0, 256, 301 // per_byte + 1).astype(np.uint8)
+    whole = SampleBlock(info, 0, PackedSamples(data, table, 0, 301))
+    plain, packed = (RunningSumBuffer(info, CARRIER_HZ, 400) for _ in range(2))
+    plain.append(SampleBlock(info, 0, table[data].reshape(-1, 2)[:301]))
+    for first, last in pairwise([0, *sorted(set(cuts)), 301, 301]):
+        piece = data[first // per_byte : -(-last // per_byte)]
+        held = PackedSamples(piece, table, first % per_byte, last - first)
+        np.testing.assert_array_equal(held.unpacked(), whole.samples[first:last])
+        packed.append(SampleBlock(info, first, held))
+    np.testing.assert_array_equal(packed.sums.packed, plain.sums.packed)
 
 
 def test_blocks_must_follow_each_other() -> None:

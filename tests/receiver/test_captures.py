@@ -24,7 +24,7 @@ _CARRIER_HZ = L1CA.id.carrier_hz
 
 def first_sums(block: SampleBlock, settings: AcquisitionSettings) -> RunningSums:
     count = round(settings.coherent_s * settings.noncoherent * block.stream.sample_rate_hz) + 64
-    return running_sums(replace(block, samples=block.samples[:count]), _CARRIER_HZ)
+    return running_sums(replace(block, held=block.samples[:count]), _CARRIER_HZ)
 
 
 def stays(block: SampleBlock, one: Acquisition, settings: AcquisitionSettings) -> bool:

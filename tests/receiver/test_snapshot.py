@@ -39,9 +39,7 @@ def flight_fix(shared: Path, seconds: float, rough: Rough) -> Snapshot:
     block = CAPTURES["aircraft"].block(shared)
     count = round(seconds * block.stream.sample_rate_hz)
     nav = read_nav(shared / FLIGHT)
-    return locate(
-        replace(block, samples=block.samples[:count]), L1CA, nav, rough, SnapshotSettings()
-    )
+    return locate(replace(block, held=block.samples[:count]), L1CA, nav, rough, SnapshotSettings())
 
 
 def test_aircraft_from_twenty_milliseconds(shared_data: Path) -> None:
