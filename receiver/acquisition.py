@@ -44,7 +44,8 @@ __all__ = [
     "search",
 ]
 
-_LEAK_AMPLITUDE = 3.0  # of a cross-correlation, over noise: from a signal of 52 dB-Hz in 20 ms
+_LEAK_AMPLITUDE = 3.0  # over noise, of what a signal of 52 dB-Hz leaves in other codes …
+_LEAK_S = 0.01  # … in a coherent block of this length
 _RELATIVE_FALSE_ALARM = 1e-6  # noise must not explain satellites away
 _CALM_S = 0.01  # length of a symbol that two coherent blocks may straddle
 _TAP_CELLS = 2.0  # early and late, half a chip off
@@ -304,7 +305,7 @@ def cold_search(
     wanted = prns or signal.prns
     results = _search_all(periods, wanted, settings, dopplers_hz, None, executor)
     screened = _screen(results, signal, settings)
-    rows_hz = _suspicious_rows(screened, signal, dopplers_hz)
+    rows_hz = _suspicious_rows(screened, signal, settings, dopplers_hz)
     if rows_hz.size == 0 or not signal.relatives:
         return screened
     clear = replace(settings, false_alarm=_RELATIVE_FALSE_ALARM)
@@ -337,13 +338,17 @@ def cross_power(signal: Signal, strong: Acquisition, weak: Acquisition, coherent
 
 
 def _suspicious_rows(
-    results: Sequence[Acquisition], signal: Signal, dopplers_hz: FloatArray
+    results: Sequence[Acquisition],
+    signal: Signal,
+    settings: AcquisitionSettings,
+    dopplers_hz: FloatArray,
 ) -> FloatArray:
     """Dopplers at which another code could cause the weak ones of the satellites found."""
+    leak = _LEAK_AMPLITUDE * np.sqrt(settings.coherent_s / _LEAK_S)
     step_hz = dopplers_hz[1] - dopplers_hz[0] if dopplers_hz.size > 1 else 0.0
     chosen = np.zeros(dopplers_hz.size, dtype=bool)
     for one in results:
-        if one.found and np.sqrt(one.peak_ratio) < np.sqrt(one.threshold) + _LEAK_AMPLITUDE:
+        if one.found and np.sqrt(one.peak_ratio) < np.sqrt(one.threshold) + leak:
             apart = (dopplers_hz - one.doppler_hz) * signal.period_s
             chosen |= np.abs(apart - np.rint(apart)) < 1.01 * step_hz * signal.period_s
     return dopplers_hz[chosen]

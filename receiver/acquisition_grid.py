@@ -29,6 +29,10 @@ from deepgnss.receiver.signals import Signal, signal_of
 Complex64Array = NDArray[np.complex64]
 
 _CELLS_PER_CHIP = 4
+# Of padded windows: the longer, the fewer cells are transformed for nothing. Odd numbers, so that
+# rows half a bin of one period apart are whole bins of the window.
+_WHOLE_PERIODS = (5, 3, 1)
+_FINE_CELLS = 256  # of a delay's phases worked out one by one
 _NOISE_CELLS = 2**15  # cells whose median gives the noise floor
 # Neighbouring cells of the grid (quarter chip, half a Doppler bin) share noise: as far as high
 # maxima go, this share of them counts as independent (measured; the tests hold it).
@@ -65,16 +69,18 @@ class Periods:
     """The samples of a search, cut into windows that begin a code period of `cells` apart.
 
     A window is one code period, correlated as a circle: where the sign changes in it, power is
-    lost. Where signs change from period to period windows are two periods long and the code is
-    padded with zeros, so that one whole period of it lies within, wherever it starts.
+    lost. Where signs change from period to period windows are one code period longer than the
+    `whole` ones they begin, and the code is padded with zeros, so that as many whole periods of
+    it lie within, wherever they start.
 
-    samples: (periods, window); spectra: (2, periods, window), the second after mixing by half a
-    bin.
+    samples: (windows, window); spectra: (2, windows, window), the second after mixing by half a
+    bin: padded windows, of whole bins only, lack it.
     """
 
     signal: Signal
     first: int
     cells: int
+    whole: int  # code periods from one window to the next
     half_sample_chips: float
     mirror_hz: float | None  # frequency about which the spectrum mirrors itself, if it does
     samples: Complex64Array
@@ -91,7 +97,8 @@ class Periods:
         Padded windows are cut where the code starts: no sign changes within a block.
         """
         start = -cell % self.cells if self.window > self.cells else 0
-        return self.samples[:, start : start + self.cells], start
+        taken = self.samples[:, start : start + self.whole * self.cells]
+        return taken.reshape(-1, self.cells), start
 
     @property
     def cells_per_hz_s(self) -> float:
@@ -130,15 +137,20 @@ def cut(
     flat = np.zeros(total * cells, dtype=np.complex64)
     count = min(there, flat.size)
     flat[:count] = resample(sums, first, rate_hz, count)
-    window = cells * (1 + padded)
-    spectra = scipy.fft.fft(sliding_window_view(flat, window)[::cells])
+    whole = next(n for n in _WHOLE_PERIODS if periods % n == 0) if padded else 1
+    window = cells * (whole + padded)
+    spectra = scipy.fft.fft(sliding_window_view(flat, window)[:: whole * cells])
     spectra *= line_weights(spectra)
     samples = np.asarray(scipy.fft.ifft(spectra))
-    half_bin = np.exp(-1j * np.pi * np.arange(window) / window).astype(np.complex64)
-    spectra = np.stack([spectra, scipy.fft.fft(samples * half_bin)])
+    mixed = [spectra]
+    if not padded:
+        half_bin = np.exp(-1j * np.pi * np.arange(window) / window).astype(np.complex64)
+        mixed.append(scipy.fft.fft(samples * half_bin))
     half_sample_chips = 0.5 * signal.id.chip_rate_hz / sums.sample_rate_hz
-    mirror_hz = mirror_frequency_hz(samples[:, :cells].ravel(), rate_hz)
-    return Periods(signal, first, cells, half_sample_chips, mirror_hz, samples, spectra)
+    mirror_hz = mirror_frequency_hz(samples[:, : whole * cells].ravel(), rate_hz)
+    return Periods(
+        signal, first, cells, whole, half_sample_chips, mirror_hz, samples, np.stack(mixed)
+    )
 
 
 def mirror_frequency_hz(samples: Complex64Array, rate_hz: float) -> float | None:
@@ -187,7 +199,7 @@ def code_spectrum(signal_name: str, prn: int, cells: int, window: int) -> Comple
     """Conjugate spectrum of the replica, padded with zeros to a window.
 
     The forward FFT of a data spectrum times this has the correlation at code phase s in cell s,
-    in a padded window in its last cells.
+    in a padded window in its last cells, with whole periods one before the other.
     """
     replica = replica_cells(signal_name, prn, cells)
     spectrum = (cells / window * np.conj(scipy.fft.fft(replica, window))).astype(np.complex64)
@@ -195,15 +207,29 @@ def code_spectrum(signal_name: str, prn: int, cells: int, window: int) -> Comple
     return spectrum
 
 
+def delay(by_cells: float, cells: int) -> Complex64Array:
+    """What delays a circle of cells, on its spectrum: e^{−j2π·by·k/cells}, (cells,)."""
+    fine = np.exp(-2j * np.pi * by_cells / cells * np.arange(_FINE_CELLS))
+    coarse = np.exp(-2j * np.pi * by_cells / cells * np.arange(0, cells, _FINE_CELLS))
+    turns: Complex64Array = np.outer(coarse, fine).ravel()[:cells].astype(np.complex64)
+    turns[(cells + 1) // 2 :] *= np.exp(2j * np.pi * by_cells)  # k − cells
+    return turns
+
+
 @kernel
-def shift_blocks(rows: Complex64Array, step: Complex64Array) -> None:
-    """Multiply block b of spectra (blocks, rows, cells) by step (cells) to the power b + ½."""
-    blocks, count, cells = rows.shape
+def shift_blocks(
+    spectra: Complex64Array, bins: int, step: Complex64Array, out: Complex64Array
+) -> None:
+    """Spectra (blocks, rows, cells) moved down by bins, block b times step (cells) to the b + ½."""
+    blocks, count, cells = spectra.shape
     turn = np.sqrt(step)
     for block in range(blocks):
         for row in range(count):
-            for cell in range(cells):
-                rows[block, row, cell] *= turn[cell]
+            source, target = spectra[block, row], out[block, row]
+            for cell in range(cells - bins):
+                target[cell] = source[cell + bins] * turn[cell]
+            for cell in range(cells - bins, cells):
+                target[cell] = source[cell + bins - cells] * turn[cell]
         turn *= step
 
 
@@ -214,21 +240,20 @@ def doppler_rows(
     period_s = periods.signal.period_s
     bin_hz = periods.cells / (periods.window * period_s)
     blocks = periods.samples.shape[0] // coherent
-    wavenumber = scipy.fft.fftfreq(periods.window)
     half_bins = np.rint(2.0 * dopplers_hz / bin_hz).astype(np.int64)
     within = np.arange(coherent) * period_s
     for half_bin in np.unique(half_bins):
         group = dopplers_hz[half_bins == half_bin]
         shift, half = divmod(int(half_bin), 2)
         source = periods.spectra[half].reshape(blocks, coherent, periods.window)
-        if coherent == 1:  # no products of single numbers: they take longer than the transforms
-            rows = np.roll(source, -shift, axis=2)
-        else:
+        if coherent > 1:  # products of single numbers take longer than the transforms
             weights = np.exp(-2j * np.pi * group[:, np.newaxis] * within).astype(np.complex64)
-            rows = np.roll(weights @ source, -shift, axis=2)
+            source = weights @ source
         # Where the code stands in the middle of each block, against that at the start.
-        drift = coherent * period_s * 0.5 * half_bin * bin_hz * periods.cells_per_hz_s
-        shift_blocks(rows, np.exp(-2j * np.pi * drift * wavenumber).astype(np.complex64))
+        block_s = coherent * periods.whole * period_s
+        drift = block_s * 0.5 * half_bin * bin_hz * periods.cells_per_hz_s
+        rows = np.empty_like(source)
+        shift_blocks(source, shift % periods.window, delay(drift, periods.window), rows)
         yield group, rows
 
 
@@ -236,20 +261,27 @@ def doppler_rows(
 
 
 @kernel
-def sum_power(correlations: Complex64Array, power: NDArray[np.float32], totals: FloatArray) -> None:
-    """Power of (blocks, rows, cells) summed over blocks into (rows, cells), and over cells."""
-    blocks, rows, cells = correlations.shape
+def sum_power(
+    correlations: Complex64Array, whole: int, power: NDArray[np.float32], totals: FloatArray
+) -> None:
+    """Power of (blocks, rows, window) summed up into (rows, cells), and over cells.
+
+    The last `whole` stretches of `cells` count, each one code period.
+    """
+    blocks, rows, window = correlations.shape
+    cells = power.shape[1]
     for row in range(rows):
-        for cell in range(cells):
-            value = correlations[0, row, cell]
-            power[row, cell] = value.real * value.real + value.imag * value.imag
-        for block in range(1, blocks):
-            for cell in range(cells):
-                value = correlations[block, row, cell]
-                power[row, cell] += value.real * value.real + value.imag * value.imag
+        sums = power[row]
+        sums[:] = 0.0
+        for block in range(blocks):
+            for start in range(window - whole * cells, window, cells):
+                stretch = correlations[block, row, start : start + cells]
+                for cell in range(cells):
+                    value = stretch[cell]
+                    sums[cell] += value.real * value.real + value.imag * value.imag
         total = 0.0
         for cell in range(cells):
-            total += power[row, cell]
+            total += sums[cell]
         totals[row] = total
 
 
@@ -268,7 +300,7 @@ class GridSearch:
         self._cells_searched = periods.cells
         self._circular_hz = 0.6 / coherent_s
         self._code = code_spectrum(periods.signal.id.name, prn, periods.cells, periods.window)
-        self._valid = slice(periods.window - periods.cells, None)
+        self._whole = periods.whole
         self._stride = max(1, rows * periods.cells // _NOISE_CELLS) | 1
         self._noise: list[NDArray[np.float32]] = []
         self._allowed = np.arange(periods.cells)
@@ -290,10 +322,9 @@ class GridSearch:
     def add(self, dopplers_hz: FloatArray, rows: Complex64Array) -> None:
         """Search one group of Doppler rows."""
         correlations = scipy.fft.fft(rows * self._code, overwrite_x=True)
-        correlations = np.ascontiguousarray(correlations[:, :, self._valid])
-        power = np.empty((dopplers_hz.size, correlations.shape[2]), dtype=np.float32)
+        power = np.empty((dopplers_hz.size, self._cells_searched), dtype=np.float32)
         totals = np.empty(dopplers_hz.size)
-        sum_power(correlations, power, totals)
+        sum_power(correlations, self._whole, power, totals)
         self._noise.append(power.reshape(-1)[:: self._stride].copy())
         searched = power
         if self._allowed.size < power.shape[1]:

@@ -10,6 +10,8 @@ import pytest
 from noisy_sky import CARRIER_HZ, Sent, info, sky
 from yardstick import cost
 
+from deepgnss.core.records import BDS_B1I, SampleBlock, StreamInfo
+from deepgnss.receiver import acquisition_grid
 from deepgnss.receiver.acquisition import (
     Acquisition,
     AcquisitionSettings,
@@ -18,8 +20,14 @@ from deepgnss.receiver.acquisition import (
     cross_power,
     search,
 )
-from deepgnss.receiver.acquisition_grid import detection_threshold, sum_power
+from deepgnss.receiver.acquisition_grid import (
+    delay,
+    detection_threshold,
+    shift_blocks,
+    sum_power,
+)
 from deepgnss.receiver.baseband import running_sums
+from deepgnss.receiver.signals import BDS_B1I_D1, b1i_code
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL as L1CA
 
 
@@ -213,14 +221,56 @@ def test_block_end_is_enough_and_beyond_is_refused() -> None:
         search(sums, -1, L1CA, 2, whole)
 
 
+def test_length_of_padded_windows_is_no_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """B1I changes sign from period to period: one, three or five whole ones, all the same."""
+    rng = np.random.default_rng(12)
+    stream = StreamInfo("B1", 5.0e6, BDS_B1I.carrier_hz, 0.0, True, 1 << 40)
+    t = np.arange(85_000) / stream.sample_rate_hz
+    chips = (700.3 + t * BDS_B1I.chip_rate_hz * (1.0 - 3321.0 / BDS_B1I.carrier_hz)).astype(int)
+    signs = np.array(BDS_B1I_D1.secondary)[chips // 2046]
+    wave = b1i_code(30)[chips % 2046] * signs * np.exp(-2j * np.pi * 3321.0 * t)
+    wave = 10.0**2.0 / np.sqrt(stream.sample_rate_hz) * wave + rng.normal(0.0, 0.5**0.5, t.size)
+    wave = wave + 1j * rng.normal(0.0, 0.5**0.5, t.size)
+    values = np.rint(20.0 * np.column_stack([wave.real, wave.imag])).clip(-127, 127)
+    sums = running_sums(SampleBlock(stream, 0, values.astype(np.int8)), BDS_B1I.carrier_hz)
+    settings = AcquisitionSettings(coherent_s=0.005, noncoherent=3)
+    found = []
+    for whole in (1, 3, 5):
+        monkeypatch.setattr(acquisition_grid, "_WHOLE_PERIODS", (whole,))
+        found.append(search(sums, 0, BDS_B1I_D1, 30, settings))
+    for one in found:
+        assert one.found
+        assert one.doppler_hz == pytest.approx(-3321.0, abs=10.0)
+        assert one.code_chips == pytest.approx(700.3, abs=0.1)
+        assert one.cn0_dbhz == pytest.approx(40.0, abs=1.5)
+        assert one.peak_ratio == pytest.approx(found[0].peak_ratio, rel=0.02)
+
+
 def test_kernel_twin() -> None:
     rng = np.random.default_rng(10)
     values = (rng.normal(size=(3, 4, 64)) + 1j * rng.normal(size=(3, 4, 64))).astype(np.complex64)
     power, totals = np.empty((4, 64), np.float32), np.empty(4)
-    sum_power(values, power, totals)
+    sum_power(values, 1, power, totals)
     expected = (np.abs(values) ** 2).sum(axis=0)
     np.testing.assert_allclose(power, expected, rtol=1e-5)
     np.testing.assert_allclose(totals, expected.sum(axis=1), rtol=1e-5)
+    power = np.empty((4, 20), np.float32)
+    sum_power(values, 3, power, totals)  # of a window of 64 cells the last three times 20
+    expected = (np.abs(values[:, :, 4:]) ** 2).reshape(3, 4, 3, 20).sum(axis=(0, 2))
+    np.testing.assert_allclose(power, expected, rtol=1e-5)
+    np.testing.assert_allclose(totals, expected.sum(axis=1), rtol=1e-5)
+
+
+@pytest.mark.parametrize("cells", [256, 4096, 4095, 49_152])
+@pytest.mark.parametrize("bins", [0, 7, 250])
+def test_spectra_are_shifted_and_delayed(cells: int, bins: int) -> None:
+    rng = np.random.default_rng(13)
+    values = (rng.normal(size=(3, 2, cells)) + 1j * rng.normal(size=(3, 2, cells))).astype("c8")
+    out = np.empty_like(values)
+    shift_blocks(values, bins, delay(-0.7, cells), out)
+    turns = np.outer([0.5, 1.5, 2.5], 0.7 * np.fft.fftfreq(cells))
+    expected = np.roll(values, -bins, axis=2) * np.exp(2j * np.pi * turns)[:, np.newaxis]
+    np.testing.assert_allclose(out, expected, atol=2e-5)
 
 
 def test_cost() -> None:
