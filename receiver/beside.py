@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.linear import whitening
 from deepgnss.core.records import FloatArray, NavSolution
 from deepgnss.core.time import GpsTime
 
@@ -80,8 +81,3 @@ def rows_beside(systems: Sequence[str], known: Beside, r_e_m: FloatArray) -> Row
         np.append(values, white @ (known.place.r_e_m - r_e_m)),
         np.append(sigmas, np.ones(3)),
     )
-
-
-def whitening(covariance: FloatArray) -> FloatArray:
-    """L⁻¹ of a covariance LLᵀ: errors times it are independent and of unit variance."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), np.float64)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from deepgnss.core.constants import EARTH_RATE_RADPS, GM_GPS_M3PS2, SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne, ecef, geodetic
+from deepgnss.core.linear import inverse
 from deepgnss.core.records import (
     SIGNAL_IDS,
     Ephemeris,
@@ -31,7 +32,7 @@ from deepgnss.core.records import (
 )
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import orbits
-from deepgnss.receiver.pvt import dilutions, inverse, unsolved
+from deepgnss.receiver.pvt import dilutions, unsolved
 from deepgnss.receiver.raim import RaimResult, check_residuals
 from deepgnss.receiver.weights import PvtParameters, delays
 

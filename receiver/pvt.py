@@ -10,7 +10,8 @@ not enter the orbit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,8 @@ from numpy.typing import NDArray
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne, geodetic
+from deepgnss.core.jit import brief_kernel
+from deepgnss.core.linear import inverse, least_squares, whitening
 from deepgnss.core.records import Epoch, FloatArray, NavData, NavSolution
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver import orbits
@@ -27,7 +30,6 @@ from deepgnss.receiver.beside import (
     Rows,
     between_systems,
     rows_beside,
-    whitening,
 )
 from deepgnss.receiver.measured import NOBODY_REFUSED, Measured, measure
 from deepgnss.receiver.raim import GROSS_M, check_residuals, gross_errors
@@ -44,7 +46,6 @@ __all__ = [
     "ErrorModel",
     "PvtParameters",
     "dilutions",
-    "inverse",
     "solve",
     "solve_measured",
     "unsolved",
@@ -53,6 +54,7 @@ __all__ = [
 _MAX_ITERATIONS = 20
 _CONVERGED_M = 1.0  # the step after this one would be its square over the range: 1e-7 m
 _ATMOSPHERE_STEP_M = 10.0  # its delays change by 3 mm at zenith over this height
+_DILUTIONS = ("gdop", "pdop", "hdop", "vdop", "tdop")
 _KINDS = ("elevation", "residual", "range")
 _PLAUSIBLE_HEIGHT_M = (-20e3, 2000e3)
 
@@ -183,6 +185,7 @@ def _adjust(
     azimuth = elevation
     used, modelled_at_e_m = active, None
     low: dict[str, str] = {}
+    members = _members(measured.satellites)
     for _ in range(_MAX_ITERATIONS):
         sight = orbits.line_of_sight(r_e_m, np.zeros(3), measured.states)
         near_earth = np.linalg.norm(r_e_m) > 6.3e6
@@ -206,23 +209,18 @@ def _adjust(
             )
             modelled_at_e_m = r_e_m
         rows = np.flatnonzero(used)
-        systems = _systems(measured, rows)
+        systems = [system for system, member in members.items() if member[rows].any()]
         beside = rows_beside(systems, known, r_e_m)
         unknowns = 3 + len(systems)
         needed = max(unknowns - len(beside.values), 1 if known.place is not None else 4)
         if len(rows) < needed:
             return _Failure(f"{len(rows)} of {needed} satellites needed", low, len(low) > 0)
         misfit = measured.ranges_m - delays_m - sight.range_m
-        H = np.hstack(
-            [
-                -sight.unit_e[rows],
-                np.array([[measured.satellites[k][0] == s for s in systems] for k in rows], float),
-            ]
-        )
+        H = np.column_stack([-sight.unit_e[rows], *(members[system][rows] for system in systems)])
         weight = 1.0 / np.append(sigma_m[rows], beside.sigma)
         asked = np.append(misfit[rows], beside.values)
-        x, _, rank, _ = np.linalg.lstsq(
-            np.vstack([H, beside.H]) * weight[:, np.newaxis], asked * weight
+        x, rank = least_squares(
+            np.concatenate([H, beside.H]) * weight[:, np.newaxis], asked * weight
         )
         if rank < unknowns:
             return _Failure(f"geometry of {len(rows)} satellites is singular", low)
@@ -260,9 +258,16 @@ def _is_gross(fix: _Fix | _Failure) -> bool:
     return bool(np.abs(fix.residuals_m[fix.used]).max() > GROSS_M)
 
 
-def _systems(measured: Measured, rows: NDArray[np.intp]) -> list[str]:
-    """System letters in use, GPS first: the first one's clock is the receiver's."""
-    return sorted({measured.satellites[row][0] for row in rows}, key=lambda s: (s != "G", s))
+def _members(satellites: Sequence[str]) -> dict[str, FloatArray]:
+    """Whose satellites (k,) are a system's (1, else 0), by its letter.
+
+    GPS comes first: the clock of the first is the receiver's.
+    """
+    letters = [satellite[0] for satellite in satellites]
+    return {
+        system: np.array([letter == system for letter in letters], dtype=np.float64)
+        for system in sorted(set(letters), key=lambda s: (s != "G", s))
+    }
 
 
 def _below_mask(
@@ -321,7 +326,7 @@ def _velocity(
         told = told_H[:, :3] @ place.v_e_mps
     while len(rows) >= max(4 - len(told), 1):
         A = np.vstack([H[rows] / sigma[rows, np.newaxis], told_H])
-        x, _, rank, _ = np.linalg.lstsq(A, np.append(misfit[rows] / sigma[rows], told))
+        x, rank = least_squares(A, np.append(misfit[rows] / sigma[rows], told))
         if rank < 4:
             break
         residuals = misfit[rows] - H[rows] @ x
@@ -391,16 +396,19 @@ def _solution(
         used=tuple(measured.satellites[row] for row in rows),
         rejected=rejected,
         residuals_m={
-            satellite: float(residual)
-            for satellite, residual in zip(measured.satellites, fix.residuals_m, strict=True)
-            if np.isfinite(residual)
-        },
-        azimuth_elevation_rad={
-            satellite: (float(azimuth), float(elevation))
-            for satellite, azimuth, elevation in zip(
-                measured.satellites, fix.azimuth_rad, fix.elevation_rad, strict=True
+            satellite: residual_m
+            for satellite, residual_m in zip(
+                measured.satellites, fix.residuals_m.tolist(), strict=True
             )
+            if math.isfinite(residual_m)
         },
+        azimuth_elevation_rad=dict(
+            zip(
+                measured.satellites,
+                zip(fix.azimuth_rad.tolist(), fix.elevation_rad.tolist(), strict=True),
+                strict=True,
+            )
+        ),
         differential=measured.nav.corrections is not None,
     )
 
@@ -410,22 +418,22 @@ def dilutions(H: FloatArray, C_ne: FloatArray) -> dict[str, float]:
 
     Empty where the satellites alone make no position.
     """
+    return dict(zip(_DILUTIONS, _dilutions(H, C_ne).tolist(), strict=False))
+
+
+@brief_kernel
+def _dilutions(H: FloatArray, C_ne: FloatArray) -> FloatArray:
+    """Values of `_DILUTIONS`, or none."""
     if np.linalg.matrix_rank(H) < H.shape[1]:
-        return {}
-    Q = inverse(H.T @ H)
-    n, e, d = np.einsum("ij,jk,ik->i", C_ne, Q[:3, :3], C_ne)
-    return {
-        "gdop": float(np.sqrt(np.trace(Q))),
-        "pdop": float(np.sqrt(n + e + d)),
-        "hdop": float(np.sqrt(n + e)),
-        "vdop": float(np.sqrt(d)),
-        "tdop": float(np.sqrt(Q[3, 3])),
-    }
-
-
-def inverse(normal: FloatArray) -> FloatArray:
-    """Inverse of a normal matrix."""
-    return np.asarray(np.linalg.inv(normal), np.float64)
+        return np.zeros(0)
+    Q = np.linalg.inv(H.T @ H)
+    n, e, d = 0.0, 0.0, 0.0
+    for i in range(3):
+        for j in range(3):
+            n += C_ne[0, i] * Q[i, j] * C_ne[0, j]
+            e += C_ne[1, i] * Q[i, j] * C_ne[1, j]
+            d += C_ne[2, i] * Q[i, j] * C_ne[2, j]
+    return np.sqrt(np.array([np.trace(Q), n + e + d, n + e, d, Q[3, 3]]))  # type: ignore[no-any-return]
 
 
 def unsolved(time: GpsTime, reason: str, rejected: Mapping[str, str]) -> NavSolution:
