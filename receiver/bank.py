@@ -29,7 +29,7 @@ from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.known_symbols import KnownSymbols, Sent, foretold, remembered, signs
 from deepgnss.receiver.messages import Frame, Subframe
 from deepgnss.receiver.modes import Mode, TrackingSettings
-from deepgnss.receiver.observables import PhaseMemory, observe
+from deepgnss.receiver.observables import PhaseMemory, observe, tag_of
 from deepgnss.receiver.search import Place, Searcher, SearchSettings, Sight, predict_sights
 from deepgnss.receiver.signals import Signal
 from deepgnss.receiver.smoothing import HatchState, smooth
@@ -303,14 +303,13 @@ class Bank:
         self, clock: ReceiverClock, tag_ns: int, time: GpsTime, *, output: bool, smoothing: bool
     ) -> Tagged:
         """Observations at a tag; slips are counted from the last one put out."""
-        clock = clock.at_rate(self.rate_hz)
-        instant = clock.instant(tag_ns)
+        tag = tag_of(clock.at_rate(self.rate_hz), tag_ns)
         tagged = Tagged([], [])
         for prn, channel in sorted(self.channels.items()):
             if channel.mode is Mode.LOST:  # dropped since it ran
                 continue
             memory = self._memory[prn]
-            seen = observe(channel, clock, tag_ns, instant, memory)
+            seen = observe(channel, tag, memory)
             if seen is None:
                 continue
             told = output and not seen.coasting

@@ -59,7 +59,8 @@ class ReceiverClock:
 
     def gpst_ns(self, sample: int) -> float:
         """GPST of a sample, ns since the GPS epoch less `origin_ns`."""
-        elapsed_s = float(sample / self.sample_rate_hz)
+        rate = self.sample_rate_hz
+        elapsed_s = sample * rate.denominator / rate.numerator  # rounded once, without a Fraction
         return (elapsed_s - self.error_s(elapsed_s)) * NS
 
     def time(self, sample: int) -> GpsTime:
@@ -93,7 +94,7 @@ class ReceiverClock:
         The first solution is taken whole. Later ones bend the model without a step. The drift is
         NaN where a solution has no velocity: the model keeps its own.
         """
-        elapsed_s = float(Fraction(tag_ns - self.origin_ns, NS))
+        elapsed_s = (tag_ns - self.origin_ns) / NS
         here_s = self.error_s(elapsed_s)
         if math.isnan(drift_sps):
             drift_sps = self.oscillator_sps - self.drift_sps

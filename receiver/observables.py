@@ -18,6 +18,23 @@ from deepgnss.receiver.interval import Interval
 from deepgnss.receiver.trackers import NcoState, advance, corrected
 
 
+class Tag(NamedTuple):
+    """An instant at which the channels of a stream are observed."""
+
+    ns: int  # GPST since the GPS epoch
+    instant: SampleInstant
+    rate_hz: float  # samples
+    lag_s: float  # tag less the time the sample counter tells
+    drift_sps: float  # of the clock's model
+
+
+def tag_of(clock: ReceiverClock, tag_ns: int) -> Tag:
+    """A GPST tag on the stream of a clock."""
+    instant = clock.instant(tag_ns)
+    lag_s = clock.lag_s(tag_ns, instant)
+    return Tag(tag_ns, instant, float(clock.sample_rate_hz), lag_s, clock.drift_sps)
+
+
 class PhaseMemory(NamedTuple):
     """What must survive between outputs of one channel."""
 
@@ -57,30 +74,24 @@ def transmit_ns(channel: Channel, interval: Interval, code_chips: float) -> tupl
     return whole, code_chips / channel.signal.id.chip_rate_hz
 
 
-def observe(
-    channel: Channel,
-    clock: ReceiverClock,
-    tag_ns: int,
-    instant: SampleInstant,
-    memory: PhaseMemory,
-) -> Observed | None:
+def observe(channel: Channel, tag: Tag, memory: PhaseMemory) -> Observed | None:
     """Observation of a channel at a tag, None while it has no pseudorange.
 
     In open loop it is what the generators say, and nobody has measured it.
     `memory` is that of the last output; keep the returned one only when this epoch is put out.
     """
+    instant, rate_hz, drift_sps = tag.instant, tag.rate_hz, tag.drift_sps
     interval = channel.at(instant.sample)
     if channel.anchor is None or not (interval.code_valid or interval.coasting):
         return None
-    rate_hz = float(clock.sample_rate_hz)
     carrier, code = _at(interval, instant, rate_hz)
     sent_ns, rest_s = transmit_ns(channel, interval, code.phase)
     half_week_ns = SECONDS_PER_WEEK * NS // 2
-    travel_ns = (tag_ns - sent_ns + half_week_ns) % (2 * half_week_ns) - half_week_ns
+    travel_ns = (tag.ns - sent_ns + half_week_ns) % (2 * half_week_ns) - half_week_ns
     pseudorange_m = (travel_ns / NS - rest_s) * SPEED_OF_LIGHT_MPS
 
     frequency_hz = channel.signal.id.carrier_hz
-    phase = frequency_hz * clock.lag_s(tag_ns, instant) - carrier.phase
+    phase = frequency_hz * tag.lag_s - carrier.phase
     ambiguity = memory.ambiguity
     if ambiguity is None:
         ambiguity = round(pseudorange_m * frequency_hz / SPEED_OF_LIGHT_MPS - phase)
@@ -93,9 +104,9 @@ def observe(
             carrier_cycles=phase + ambiguity + (interval.half_cycle or 0.0),
             # The clock model's drift is per second of the sample counter, Doppler per GPST's.
             doppler_hz=(
-                carrier.frequency + interval.window.unfollowed_hz + frequency_hz * clock.drift_sps
+                carrier.frequency + interval.window.unfollowed_hz + frequency_hz * drift_sps
             )
-            / (1.0 - clock.drift_sps)
+            / (1.0 - drift_sps)
             if interval.frequency_valid
             else math.nan,
             cn0_dbhz=interval.cn0_dbhz,

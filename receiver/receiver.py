@@ -228,6 +228,8 @@ class Receiver:
 
     def sample_in(self, rate_hz: Fraction | float, sample: int) -> int:
         """A sample of the first stream, counted in a stream of another rate."""
+        if rate_hz == self._rate:
+            return sample
         return round(sample * Fraction(rate_hz) / self._rate)
 
     def _log(self, events: Sequence[Event], bank: Bank) -> None:
@@ -235,11 +237,10 @@ class Receiver:
         self._events.extend(self._counted(events, bank))
 
     def _counted(self, events: Sequence[Event], bank: Bank) -> list[Event]:
+        if bank.rate_hz == self._rate:
+            return list(events)
         scale = self._rate / bank.rate_hz
-        return [
-            event if scale == 1 else replace(event, sample=round(event.sample * scale))
-            for event in events
-        ]
+        return [replace(event, sample=round(event.sample * scale)) for event in events]
 
     def _track(
         self, feeds: Mapping[str, SumFeed], end: int, aiding: Mapping[str, AidingSource]

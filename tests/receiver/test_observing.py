@@ -16,7 +16,7 @@ from deepgnss.core.time import GpsTime
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.clock import NS, ReceiverClock, from_ns, to_ns
 from deepgnss.receiver.interval import Interval
-from deepgnss.receiver.observables import Observed, PhaseMemory, observe
+from deepgnss.receiver.observables import Observed, PhaseMemory, observe, tag_of
 from deepgnss.receiver.signals import GPS_L1CA_SIGNAL, Signal
 from deepgnss.receiver.trackers import Correction
 
@@ -51,8 +51,10 @@ def _observe(
     memory: PhaseMemory = PhaseMemory(),  # noqa: B008  (immutable)
     instant: SampleInstant | None = None,
 ) -> Observed:
-    at = clock.instant(tag_ns) if instant is None else instant
-    seen = observe(cast(Channel, channel), clock, tag_ns, at, memory)
+    tag = tag_of(clock, tag_ns)
+    if instant is not None:
+        tag = tag._replace(instant=instant, lag_s=clock.lag_s(tag_ns, instant))
+    seen = observe(cast(Channel, channel), tag, memory)
     assert seen is not None
     return seen
 
@@ -180,6 +182,5 @@ def test_no_range_without_transmit_time_or_code_lock() -> None:
     clock = ReceiverClock(RATE, 0)
     base = _interval(0, 0, 0.0, 0.0, 0.0)
     for channel in (_Channel(base, None), _Channel(base._replace(code_valid=False), 5)):
-        instant = clock.instant(NS)
-        assert observe(cast(Channel, channel), clock, NS, instant, PhaseMemory()) is None
+        assert observe(cast(Channel, channel), tag_of(clock, NS), PhaseMemory()) is None
     assert replace(_Channel(base, None)).anchor is None
