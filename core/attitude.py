@@ -139,6 +139,8 @@ def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
 
 def rotation_matrix(q: FloatArray) -> FloatArray:
     """Rotation matrices (..., 3, 3) of unit quaternions (..., 4): C_nb of q_nb."""
+    if q.ndim == 1:
+        return np.array(_matrix(q.tolist()))
     return np.stack([_joined(row) for row in _matrix(_parts(q))], axis=-2)
 
 

@@ -264,12 +264,16 @@ class Bridge:
         known.update(H[kept], y_m[kept], variance_m2[kept])
         if np.sum(sights.clocked[rows] * kept) < _PHASES_ENOUGH and math.isfinite(tag.drift[0]):
             known.take_drift(*(SPEED_OF_LIGHT_MPS * value for value in tag.drift))
+        for arc, agrees in zip(arcs, kept, strict=True):
+            arc.heard_s = now_s
+            if agrees:
+                arc.trust(now_s)
+        if kept.all():
+            return jump_m, ()
         off_m, covariance = known.innovation(H, y_m, variance_m2)
         slips = []
         for k, arc in enumerate(arcs):
-            arc.heard_s = now_s
             if kept[k]:
-                arc.trust(now_s)
                 continue
             found = verdict(arc, now_s, float(off_m[k]), math.sqrt(covariance[k, k]))
             if found is None:
@@ -289,10 +293,11 @@ class Bridge:
 
         A step of the clock, or of the navigation's way, that most phases show is none of theirs.
         """
-        jump_m = common_jump(*known.innovation(H, y_m, variance_m2), _JUMP)
+        off_m, covariance = known.innovation(H, y_m, variance_m2)
+        jump_m = common_jump(off_m, covariance, _JUMP)
         if jump_m is not None:
             known.open_clock(jump_m)
-        off_m, covariance = known.innovation(H, y_m, variance_m2)
+            off_m, covariance = known.innovation(H, y_m, variance_m2)
         kept = sound(off_m, covariance, _LIMIT)
         if y_m.size < _MANY or 2 * np.sum(kept) >= y_m.size:
             return kept, jump_m

@@ -178,9 +178,10 @@ class Navigation:
             taken = Instant(time_s, gnss if ranges is None else None, ranges)
             self._go_on(self._coupling, taken)
             if self._coupling is not None:
-                leg = self._leg(self._coupling, start)
+                end = self._expected(self._coupling)
+                leg = None if end is None else self._leg(self._coupling, start, end)
                 together = lasting_together(LASTING_S, apart_s)
-                states.append(self._state(self._coupling, leg, together))
+                states.append(self._state(self._coupling, end, leg, together))
         return states
 
     def _apart_s(self, time: GpsTime) -> float:
@@ -228,15 +229,19 @@ class Navigation:
         ahead = (until_s - shift_s - last) / (last - before)
         return float(speed + ahead * (speed - slower)) if speed != 0.0 else 0.0
 
-    def _leg(self, coupling: Coupling, start: Point) -> Leg | None:
+    def _expected(self, coupling: Coupling) -> Point | None:
+        """The antenna where the increments alone have led; None without any."""
+        before, omega_ib_b_radps = coupling.expected, coupling.carried.omega_ib_b_radps
+        if omega_ib_b_radps.size == 0:
+            return None
+        lever_b_m = self._inputs.settings.lever_b_m
+        return body_point(before.ins, omega_ib_b_radps[-1], lever_b_m, before.layout)
+
+    def _leg(self, coupling: Coupling, start: Point, end: Point) -> Leg:
         way, before, after = coupling.carried, coupling.expected, coupling.estimate
         layout = before.layout
         inertial, vehicle = layout.inertial, layout.vehicle
-        if way.omega_ib_b_radps.size == 0:
-            return None
-        lever_b_m = self._inputs.settings.lever_b_m
-        there = way.antenna(way.time_s[[0, -1]], lever_b_m)
-        end = body_point(before.ins, way.omega_ib_b_radps[-1], lever_b_m, layout)
+        there = way.antenna(way.time_s[[0, -1]], self._inputs.settings.lever_b_m)
         wheels = vehicle - inertial
         walked = self._inputs.settings.odometer_walk_rts**2 * float(way.time_s[-1] - way.time_s[0])
         turned = (after.extras - before.extras)[:wheels]
@@ -255,13 +260,11 @@ class Navigation:
             tuple(m._replace(H=m.H[:, :vehicle]) for m in coupling.measured if m.kind in ROLLING),
         )
 
-    def _state(self, coupling: Coupling, leg: Leg | None, together: float) -> NavigationState:
-        estimate, before, way = coupling.estimate, coupling.expected, coupling.carried
-        expected = None
-        if leg is not None:
-            lever_b_m, layout = self._inputs.settings.lever_b_m, before.layout
-            there = body_point(before.ins, way.omega_ib_b_radps[-1], lever_b_m, layout)
-            expected = _antenna(before, there)
+    def _state(
+        self, coupling: Coupling, end: Point | None, leg: Leg | None, together: float
+    ) -> NavigationState:
+        estimate = coupling.estimate
+        expected = None if end is None else _antenna(coupling.expected, end)
         antenna = _antenna(estimate, coupling.antenna())
         return NavigationState(estimate.ins.time, estimate, antenna, expected, leg, together)
 

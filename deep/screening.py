@@ -260,9 +260,9 @@ class Screening:
         """Misfit = −unit·δ + clock + system + satellite's own."""
         H = np.zeros((len(seen.satellites), self._x.size))
         H[:, _PLACE], H[:, _BIAS] = -seen.unit_e, 1.0
+        column = {name: _FIXED + k for k, name in enumerate(self._names)}
         for row, satellite in enumerate(seen.satellites):
-            for name in (satellite[0], satellite):
-                H[row, _FIXED + self._names.index(name)] = 1.0
+            H[row, [column[satellite[0]], column[satellite]]] = 1.0
         return H
 
     def _learn(

@@ -182,6 +182,8 @@ def _steps(start_s: float, block: ImuBlock, step_s: float) -> list[tuple[int, in
     if block.time_s.size == 0:
         return []
     count = max(1, round((float(block.time_s[-1]) - start_s) / step_s))
+    if count == 1:
+        return [(0, block.time_s.size)]
     borders_s = np.linspace(start_s, float(block.time_s[-1]), count + 1)[1:]
     ends = np.unique(np.searchsorted(block.time_s, borders_s - SAME_INSTANT_S) + 1)
     ends[-1] = block.time_s.size
@@ -212,7 +214,10 @@ def _without_gaps(
     if block.dt_s.size == 0:
         return block, bridged, None
     usual_s = max(median(block.dt_s.tolist()), before.dt_s if before else 0.0)  # some may be cut
-    for row, gap in gaps(block, start_s, usual_s):
+    found = gaps(block, start_s, usual_s)
+    if not found:
+        return block, bridged, None
+    for row, gap in found:
         pieces.append(rows(block, done, row))
         done = row
         if gap.length_s > LONGEST_BRIDGE_S + SAME_INSTANT_S:
