@@ -18,6 +18,7 @@ the place, the clock is the ranges' own: b = b₁ + g·(x − x₁), g the slope
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Final
 
@@ -93,13 +94,13 @@ def _weighed(found: NavSolution, place: Place, together: float) -> NavSolution:
 def _moved(found: NavSolution, moved_m: FloatArray, clock_m: float) -> dict[str, float]:
     """Residuals from a place somewhat off: what is nearer by u·d has a range as much too long."""
     lat_rad, lon_rad, _ = geodetic(found.r_e_m)
-    north_m, east_m, down_m = C_ne(lat_rad, lon_rad) @ moved_m
+    north_m, east_m, down_m = (C_ne(lat_rad, lon_rad) @ moved_m).tolist()
     residuals = {}
     for satellite, residual_m in found.residuals_m.items():
         azimuth, elevation = found.azimuth_elevation_rad[satellite]
-        level_m = np.cos(azimuth) * north_m + np.sin(azimuth) * east_m
-        nearer_m = np.cos(elevation) * level_m - np.sin(elevation) * down_m
-        residuals[satellite] = float(residual_m + nearer_m - clock_m)
+        level_m = math.cos(azimuth) * north_m + math.sin(azimuth) * east_m
+        nearer_m = math.cos(elevation) * level_m - math.sin(elevation) * down_m
+        residuals[satellite] = residual_m + nearer_m - clock_m
     return residuals
 
 

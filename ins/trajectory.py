@@ -15,10 +15,9 @@ from deepgnss.core.attitude import (
     conjugate,
     cross,
     from_rotation_vector,
+    matrix,
     product,
     rotated,
-    rotation_matrix,
-    skew,
     to_rotation_vector,
 )
 from deepgnss.core.earth import (
@@ -33,7 +32,7 @@ from deepgnss.core.frames import q_en
 from deepgnss.core.jit import kernel
 from deepgnss.core.records import FloatArray
 from deepgnss.core.time import GpsTime
-from deepgnss.ins.error_model import ATTITUDE, GYRO_BIAS, POSITION, VELOCITY
+from deepgnss.ins.error_model import ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, cross_matrix
 from deepgnss.ins.increments import SAME_INSTANT_S, Gap
 
 
@@ -122,14 +121,7 @@ class Trajectory:
         """
         P = self.covariance(time_s)
         *_, q_nb, omega_ib_b_radps = self._poses(self._inside(time_s))
-        C_nb, lever_cross = rotation_matrix(q_nb), skew(lever_b_m)
-        swing_b = omega_ib_b_radps @ lever_cross  # ω × l
-        H = np.zeros((*P.shape[:1], 6, P.shape[-1]))
-        H[:, 0:3, POSITION] = np.eye(3)
-        H[:, 0:3, ATTITUDE] = skew(C_nb @ lever_b_m)
-        H[:, 3:6, VELOCITY] = np.eye(3)
-        H[:, 3:6, ATTITUDE] = skew((C_nb @ swing_b[:, :, np.newaxis])[:, :, 0])
-        H[:, 3:6, GYRO_BIAS] = C_nb @ lever_cross
+        H = _slopes(q_nb, omega_ib_b_radps, lever_b_m, P.shape[-1])
         return H @ P @ np.swapaxes(H, -1, -2)
 
     def _inside(self, time_s: FloatArray) -> FloatArray:
@@ -283,3 +275,20 @@ def _attached(
         for axis in range(3):
             v_e_mps[k, axis], v_out_n_mps[k, axis] = v_e[axis], v_n[axis]
     return _places(lat_rad, lon_rad, height_m, q_nb, lever_b_m), v_e_mps, v_out_n_mps
+
+
+@kernel
+def _slopes(
+    q_nb: FloatArray, omega_ib_b_radps: FloatArray, lever_b_m: FloatArray, size: int
+) -> FloatArray:
+    """Slopes (k, 6, size) of position and velocity (NED) at a lever arm of poses (k)."""
+    H = np.zeros((q_nb.shape[0], 6, size))
+    lever_b = (lever_b_m[0], lever_b_m[1], lever_b_m[2])
+    for k in range(q_nb.shape[0]):
+        q = (q_nb[k, 0], q_nb[k, 1], q_nb[k, 2], q_nb[k, 3])
+        omega_b = (omega_ib_b_radps[k, 0], omega_ib_b_radps[k, 1], omega_ib_b_radps[k, 2])
+        H[k, 0:3, POSITION] = H[k, 3:6, VELOCITY] = np.eye(3)
+        H[k, 0:3, ATTITUDE] = cross_matrix(rotated(q, lever_b))
+        H[k, 3:6, ATTITUDE] = cross_matrix(rotated(q, cross(omega_b, lever_b)))
+        H[k, 3:6, GYRO_BIAS] = np.array(matrix(q)) @ cross_matrix(lever_b)
+    return H
