@@ -25,7 +25,7 @@ _KNOWS_GATHER = 18  # LLVM: first version with that choice
 def _cache_folder() -> Path:
     package = Path(__file__).resolve().parent.parent
     digest = hashlib.sha256()
-    for room in ("core", "ins", "io", "receiver", "sim"):
+    for room in ("core", "deep", "ins", "io", "receiver", "sim"):
         for source in sorted((package / room).rglob("*.py")):
             digest.update(str(source.relative_to(package)).encode())
             digest.update(source.read_bytes())

@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.records import Ephemeris, FloatArray, NavData, SignalId
 from deepgnss.core.time import GpsTime
 from deepgnss.ins.trajectory import Trajectory
@@ -45,12 +46,6 @@ class Motion(NamedTuple):
     time_s: FloatArray  # (n,) since `origin`, rising evenly
     origin: GpsTime
     r_e_m: FloatArray  # (n, 3)
-
-    @property
-    def v_e_mps(self) -> FloatArray:
-        """Mean velocity between the points, (n - 1, 3)."""
-        step_s = (self.time_s[-1] - self.time_s[0]) / (self.time_s.size - 1)
-        return np.asarray(np.diff(self.r_e_m, axis=0) / step_s)
 
 
 def motion_over(
@@ -100,18 +95,39 @@ def sights_over(ephemerides: Sequence[Ephemeris], motion: Motion) -> Sights:
     return Sights(motion.time_s[[0, -1]], np.array(rates), np.array(towards))
 
 
-def range_rates(sights: Sights, motion: Motion) -> FloatArray:
-    """Mean pseudorange rates between the points, without receiver clock: (satellites, n - 1).
+def range_changes(sights: Sights, motion: Motion) -> FloatArray:
+    """Pseudoranges without receiver clock, less those at the first point: (satellites, n), m.
 
     What the antenna does is taken between all points.
     """
-    v_e_mps = motion.v_e_mps
-    middle_s = 0.5 * (motion.time_s[:-1] + motion.time_s[1:])
-    share = (middle_s - sights.time_s[0]) / (sights.time_s[1] - sights.time_s[0])
-    (rate_0, rate_1), (toward_0, toward_1) = sights.rate_mps, sights.toward_e
-    satellite = rate_0[:, np.newaxis] + np.outer(rate_1 - rate_0, share)
-    antenna = toward_0 @ v_e_mps.T + (toward_1 - toward_0) @ v_e_mps.T * share
-    return np.asarray(satellite - antenna)
+    return _range_changes(*sights, motion.time_s, motion.r_e_m)
+
+
+@brief_kernel
+def _range_changes(
+    ends_s: FloatArray,
+    rate_mps: FloatArray,
+    toward_e: FloatArray,
+    time_s: FloatArray,
+    r_e_m: FloatArray,
+) -> FloatArray:
+    satellites, points = rate_mps.shape[1], time_s.size
+    changes_m = np.zeros((satellites, points))
+    step_s = (time_s[-1] - time_s[0]) / (points - 1)
+    shares = (0.5 * (time_s[:-1] + time_s[1:]) - ends_s[0]) / (ends_s[1] - ends_s[0])
+    moved_e_m = r_e_m[1:] - r_e_m[:-1]
+    for s in range(satellites):
+        rate, faster = rate_mps[0, s], rate_mps[1, s] - rate_mps[0, s]
+        toward, turned = toward_e[0, s], toward_e[1, s] - toward_e[0, s]
+        for k in range(points - 1):
+            share, moved = shares[k], moved_e_m[k]
+            along_m = (
+                (toward[0] + share * turned[0]) * moved[0]
+                + (toward[1] + share * turned[1]) * moved[1]
+                + (toward[2] + share * turned[2]) * moved[2]
+            )
+            changes_m[s, k + 1] = changes_m[s, k] + (rate + share * faster) * step_s - along_m
+    return changes_m
 
 
 def carrier_delay_rates(
@@ -187,7 +203,7 @@ class Aider:
         delay_rates_mps = self._atmosphere(known, nav, span[0], motion.r_e_m[0])
         sights = sights_over(ephemerides, motion)
         sights = sights._replace(rate_mps=sights.rate_mps + delay_rates_mps)
-        rates_mps = range_rates(sights, motion)
+        changes_m = range_changes(sights, motion)
         self.skyline = Skyline(
             {listener.satellite: row for row, (listener, _) in enumerate(known)},
             sights,
@@ -196,10 +212,8 @@ class Aider:
         start_s = motion.origin.since(from_ns(clock.origin_ns)) + float(motion.time_s[0])
         step_s = float(motion.time_s[1] - motion.time_s[0])
         slower_mps = sights.toward_e[0] @ velocity_error_e_mps
-        reached = np.zeros((len(known), rates_mps.shape[1] + 1))
-        np.cumsum(rates_mps, axis=1, out=reached[:, 1:])
         made = {}
-        for (listener, _), one, less_mps in zip(known, reached, slower_mps, strict=True):
+        for (listener, _), one, less_mps in zip(known, changes_m, slower_mps, strict=True):
             carrier_hz = listener.signal.carrier_hz
             wavelength_m = SPEED_OF_LIGHT_MPS / carrier_hz
             made[listener.satellite] = Profile(
@@ -209,7 +223,7 @@ class Aider:
                     AHEAD_S / step_s,
                     AHEAD_S,
                 ),
-                one * (-step_s / wavelength_m),
+                one * (-1.0 / wavelength_m),
                 float(-drift_sps * carrier_hz - less_mps / wavelength_m),
             )
         return made

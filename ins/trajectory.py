@@ -176,22 +176,23 @@ def _poses(
     """Latitudes, longitudes, heights, attitudes and rates at instants within the rows."""
     count, last = t.size, time_s.size - 1
     places, q, omega = np.empty((3, count)), np.empty((count, 4)), np.empty((count, 3))
+    slow = fast = turn = (0.0, 0.0, 0.0)
+    before_row = 0
     for k in range(count):
         row = min(max(int(np.searchsorted(time_s, t[k], side="right")), 1), last)
+        before, after = q_nb[row - 1], q_nb[row]
+        q_before = (before[0], before[1], before[2], before[3])
+        if row != before_row:  # many instants between two rows have these in common
+            before_row = row
+            slow = _per_second(lat_rad[row - 1], height_m[row - 1], v_n_mps[row - 1])
+            fast = _per_second(lat_rad[row], height_m[row], v_n_mps[row])
+            turn = _turn(q_before, (after[0], after[1], after[2], after[3]))
         passed_s, length_s = t[k] - time_s[row - 1], time_s[row] - time_s[row - 1]
-        slow = _per_second(lat_rad[row - 1], height_m[row - 1], v_n_mps[row - 1])
-        fast = _per_second(lat_rad[row], height_m[row], v_n_mps[row])
         for axis, values in enumerate((lat_rad, lon_rad, height_m)):
             places[axis, k] = _hermite(
                 passed_s, length_s, values[row - 1], values[row], slow[axis], fast[axis]
             )
-        before, after = q_nb[row - 1], q_nb[row]
-        turned = _slerp(
-            (before[0], before[1], before[2], before[3]),
-            (after[0], after[1], after[2], after[3]),
-            passed_s / length_s,
-        )
-        q[k, 0], q[k, 1], q[k, 2], q[k, 3] = turned
+        q[k, 0], q[k, 1], q[k, 2], q[k, 3] = _turned(q_before, turn, passed_s / length_s)
         one = row - 1  # increments around, between whose middles the rate is linear
         middle_s = 0.5 * (time_s[row - 1] + time_s[row])
         other = max(one - 1, 0) if t[k] < middle_s else min(one + 1, last - 1)
@@ -220,8 +221,14 @@ def _hermite(t: float, length: float, y0: float, y1: float, slope0: float, slope
 
 
 @kernel
-def _slerp(q0: Quaternion, q1: Quaternion, share: float) -> Quaternion:
-    turn = to_rotation_vector(product(conjugate(q0), q1))
+def _turn(q0: Quaternion, q1: Quaternion) -> Vector:
+    """Rotation vector from one attitude to another."""
+    return to_rotation_vector(product(conjugate(q0), q1))  # type: ignore[no-any-return]
+
+
+@kernel
+def _turned(q0: Quaternion, turn: Vector, share: float) -> Quaternion:
+    """Attitude after a share of a turn."""
     step = (turn[0] * share, turn[1] * share, turn[2] * share)
     return product(q0, from_rotation_vector(step))  # type: ignore[no-any-return]
 
