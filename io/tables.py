@@ -34,12 +34,15 @@ class Table(Writer):
         self._rows.writerow(cells)
 
 
+_FIXED = tuple(f".{digits}f" for digits in range(16))
+
+
 def number(value: float, digits: int) -> str:
     """Fixed-point text, blank when the value is not finite; never −0."""
     if not math.isfinite(value):
         return ""
-    text = f"{value:.{digits}f}"
-    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
+    text = format(value, _FIXED[digits])
+    return text if value > 0.0 or text.strip("-0.") else text.lstrip("-")
 
 
 def _time(time: GpsTime) -> list[str]:
