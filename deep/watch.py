@@ -65,6 +65,7 @@ class Watch:
 
     trusted: bool = False
     distrusts: int = 0  # how often trust, or the navigation itself, was lost by contradiction
+    _ended: bool = False  # trust in this navigation, and counted
     _origin: GpsTime | None = None
     _same: list[float] = field(default_factory=list)  # strains of a measurement that still stands
     _same_since: GpsTime | None = None
@@ -80,9 +81,9 @@ class Watch:
 
     def restart(self, *, contradicted: bool) -> None:
         """The navigation stopped or starts anew; contradicted: because fixes said otherwise."""
-        if contradicted and self.trusted:
+        if contradicted and not self._ended:
             self.distrusts += 1
-        self.trusted = False
+        self.trusted = self._ended = False
         self._times_s, self._strains, self._sums = [], [], [0.0]
         self._same, self._same_since = [], None
         self._since_s = None
@@ -108,7 +109,7 @@ class Watch:
                 self._since_s = None
                 if self.trusted:
                     turns.append(Turn(time, False, worst))
-                    self.trusted = False
+                    self.trusted, self._ended = False, True
                     self.distrusts += 1
             elif self._since_s is None:
                 self._since_s = now_s

@@ -116,6 +116,21 @@ def test_a_new_start_is_trusted_anew() -> None:
     assert watch.patience_s == 3.0 * PATIENCE_S
 
 
+def test_a_navigation_that_failed_before_it_was_trusted_counts_too() -> None:
+    """And one that was ended by the watch counts once, when it stops as well."""
+    watch = Watch()
+    for failed in range(1, 3):
+        assert _run(watch, 100.0 * failed, 100.0 * failed + 5.0, 200.0) == []
+        watch.restart(contradicted=True)
+        assert watch.distrusts == failed
+    (gained,) = _run(watch, 300.0, 330.0, 2.0)
+    assert gained.time.since(START) > 300.0 + 9.0 * PATIENCE_S - 0.11
+    (lost,) = _run(watch, 330.0, 335.0, 60.0)
+    assert not lost.trusted
+    watch.restart(contradicted=True)
+    assert watch.distrusts == 3
+
+
 def test_most_of_the_ranges_decide() -> None:
     """Tight coupling: one reflected range is not the log's fault, half of them are."""
     watch = Watch()
