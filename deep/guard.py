@@ -16,10 +16,18 @@ from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.navigation import NavigationState, lasting_doppler_s
 from deepgnss.deep.time_offset import CarrierLoop, Offset, OffsetEstimator, fit_stretch
-from deepgnss.deep.watch import Turn, Watch, bias_finding, travel_finding
+from deepgnss.deep.watch import (
+    FASTEST_SIGMA_MPS,
+    Turn,
+    Watch,
+    bias_finding,
+    travel_finding,
+    turn_on_finding,
+)
 from deepgnss.ins import Estimate, fix_of
 from deepgnss.ins.fixes import GnssFix
 from deepgnss.ins.integration import InsEvent
+from deepgnss.ins.turn_on import turn_on
 from deepgnss.ins.updates import Innovation
 from deepgnss.receiver.receiver import Fix
 
@@ -27,6 +35,7 @@ _MOVING_MPS = 3.0
 _LONG_S = 30.0  # of motion without an attitude: said
 _LONG_SHARE = 0.4  # of the time navigated, without trust: said …
 _SOME_SHARE = 0.1  # … where it is known why
+_RESTED_S = 3.0  # from the log's beginning to a fix that says whether it began at rest
 _FITS = 2  # stretches that go with the fixes once biases are free
 _SIDEWAYS = "off the body's forward axis"  # what an alignment says of wrong axes
 _SIDEWAYS_S, _SIDEWAYS_OFTEN = 120.0, 3  # so often within so long, no attitude is trusted
@@ -60,6 +69,7 @@ class Guard:
         self._sideways: list[float] = []  # when it moved off its forward axis, s of the log
         self._doubt = ""  # why trust was lost first
         self._unaligned = ""  # why there is no attitude
+        self._began: str | None = None  # what is wrong with the biases of its start; None: unseen
 
     @property
     def trusted(self) -> bool:
@@ -110,8 +120,18 @@ class Guard:
         for fix in fixes:
             self._count(fix, bool(states))
             if fix.solution.valid and np.isfinite(fix.solution.v_e_mps).all():
-                self._offsets.take(block, fix_of(fix.solution), aided=aided)
+                gnss = fix_of(fix.solution)
+                self._begin(block, gnss)
+                self._offsets.take(block, gnss, aided=aided)
         return turns
+
+    def _begin(self, block: ImuBlock, fix: GnssFix) -> None:
+        """Look at the log's beginning, once there is a fix to say whether it rested."""
+        since_s = fix.time.since(block.origin.plus(float(block.time_s[0])))
+        sure = fix.velocity_sigma_mps <= FASTEST_SIGMA_MPS and since_s >= _RESTED_S
+        if self._began is None and sure:
+            biases = turn_on(block, fix, self._unit.grade)
+            self._began = "" if biases is None else turn_on_finding(biases, self._unit.grade)
 
     def _count(self, fix: Fix, navigated: bool) -> None:
         time, last = fix.epoch.time, self._last
@@ -208,12 +228,13 @@ class Guard:
         return travel_finding([fit.forward_b for fit in fits], self._unit.mounting_yaw_rad)
 
     def _bias(self) -> str:
-        if self._estimate is None or self._navigated_s <= 0.0:
-            return ""
-        ins = self._estimate.ins
-        return bias_finding(
-            ins.gyro_bias_radps, ins.accel_bias_mps2, self._unit.grade, self._navigated_s
-        )
+        found = ""
+        if self._estimate is not None and self._navigated_s > 0.0:
+            ins = self._estimate.ins
+            found = bias_finding(
+                ins.gyro_bias_radps, ins.accel_bias_mps2, self._unit.grade, self._navigated_s
+            )
+        return found or self._began or ""
 
     def _left_handed(self) -> bool:
         """Whether the sensors go with the fixes once the gyros turn the other way."""

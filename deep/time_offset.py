@@ -158,7 +158,7 @@ def fit_stretch(
     track = Track(
         time_s,
         np.array([f.v_n_mps for f in fixes]),
-        np.array([_sigma_mps(f) for f in fixes]),
+        np.array([f.velocity_sigma_mps for f in fixes]),
     )
     lat_rad, _, height_m = geodetic(fixes[0].r_e_m)
     fall = free_fall_mps2(lat_rad, height_m, track.v_n_mps.mean(axis=0))
@@ -169,11 +169,6 @@ def fit_stretch(
     if found_s is not None or known.sigma_s > _VAGUE_S:
         return stretch.solved(found_s or 0.0, _GRID_S / 2.0)
     return stretch.solved(known.late_s, math.hypot(2.0 * known.sigma_s, _WANDER_S))
-
-
-def _sigma_mps(fix: GnssFix) -> float:
-    V = fix.velocity_covariance_n_m2ps2
-    return math.inf if V is None else math.sqrt(float(np.trace(V)) / 3.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ import numpy as np
 
 from deepgnss.core.records import FloatArray, ImuGrade
 from deepgnss.core.time import GpsTime
+from deepgnss.ins.turn_on import TurnOn
 from deepgnss.ins.updates import Innovation
 
 PATIENCE_S: Final = 2.0
@@ -194,30 +195,36 @@ def bias_finding(
     gyro_bias_radps: FloatArray, accel_bias_mps2: FloatArray, grade: ImuGrade, run_s: float
 ) -> str:
     """Biases far beyond what the grade allows for after a run; empty: within it."""
-    pairs = (
-        (
-            "gyros",
-            gyro_bias_radps,
-            math.hypot(
-                grade.gyro_bias_radps,
-                _walked(grade.gyro_drift_radps2_rthz, grade.gyro_drift_time_s, run_s),
-            ),
-        ),
-        (
-            "accelerometers",
-            accel_bias_mps2,
-            math.hypot(
-                grade.accel_bias_mps2,
-                _walked(grade.accel_drift_mps3_rthz, grade.accel_drift_time_s, run_s),
-            ),
-        ),
+    gyro_radps = math.hypot(
+        grade.gyro_bias_radps,
+        _walked(grade.gyro_drift_radps2_rthz, grade.gyro_drift_time_s, run_s),
+    )
+    accel_mps2 = math.hypot(
+        grade.accel_bias_mps2,
+        _walked(grade.accel_drift_mps3_rthz, grade.accel_drift_time_s, run_s),
     )
     found = [
-        f"{float(np.abs(bias).max()) / sigma:.0f} times those of its grade in the {name}"
-        for name, bias, sigma in pairs
-        if float(np.abs(bias).max()) > _BEYOND * sigma
+        *_beyond("gyros", float(np.abs(gyro_bias_radps).max()), gyro_radps, gyro_radps),
+        *_beyond("accelerometers", float(np.abs(accel_bias_mps2).max()), accel_mps2, accel_mps2),
     ]
     return f"biases of {' and '.join(found)}: imu.grade?" if found else ""
+
+
+def turn_on_finding(biases: TurnOn, grade: ImuGrade) -> str:
+    """Biases at a log's beginning far beyond all that the grade allows there; empty: within it."""
+    gyro, accel = biases
+    found = [
+        *_beyond("gyros", gyro.largest, gyro.sigma, grade.gyro_bias_radps),
+        *_beyond("accelerometers", accel.largest, accel.sigma, grade.accel_bias_mps2),
+    ]
+    return f"biases at its start are {' and '.join(found)}: imu.grade?" if found else ""
+
+
+def _beyond(sensors: str, bias: float, sigma: float, stated: float) -> list[str]:
+    """A bias beyond `_BEYOND` of its σ, in multiples of what is stated."""
+    if bias <= _BEYOND * sigma:
+        return []
+    return [f"{bias / (stated or sigma):.0f} times those of its grade in the {sensors}"]
 
 
 def _walked(drift: float, time_s: float, run_s: float) -> float:

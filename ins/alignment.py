@@ -46,7 +46,12 @@ from deepgnss.ins.error_model import (
 from deepgnss.ins.error_state import Estimate, Layout
 from deepgnss.ins.fixes import GnssFix
 from deepgnss.ins.increments import LONGEST_BRIDGE_S, between, gaps
-from deepgnss.ins.standstill import StandstillLimits, standing, standstill_limits
+from deepgnss.ins.standstill import (
+    StandstillLimits,
+    fastest_at_rest_mps,
+    standing,
+    standstill_limits,
+)
 
 LARGEST_TILT_RAD: Final = 0.1
 """1σ of tilt with which the error model is still linear enough."""
@@ -165,7 +170,7 @@ class Alignment:
         for since_s, until_s in _rests(self._block, limits, from_s, self._settings.rest_s):
             inside = (self._track.time_s >= since_s) & (self._track.time_s <= until_s)
             speed_mps = np.linalg.norm(self._track.v_n_mps[inside], axis=1)
-            if np.any(speed_mps > 0.5 + 3.0 * self._track.sigma_mps[inside]):
+            if np.any(speed_mps > fastest_at_rest_mps(self._track.sigma_mps[inside])):
                 continue  # as quiet as rest, but moving
             found_rest = True
             yield from self._after_rest(since_s, until_s)
@@ -345,11 +350,10 @@ def _track(fixes: Sequence[GnssFix], block: ImuBlock) -> Track:
     time_s = np.array([fix.time.since(block.origin) for fix in fixes])
     v_n, sigma = np.zeros((len(fixes), 3)), np.zeros(len(fixes))
     for k, fix in enumerate(fixes):
+        sigma[k] = fix.velocity_sigma_mps
         if fix.v_n_mps is not None and fix.velocity_covariance_n_m2ps2 is not None:
             v_n[k] = fix.v_n_mps
-            sigma[k] = np.sqrt(np.trace(fix.velocity_covariance_n_m2ps2) / 3.0)
             continue
-        sigma[k] = np.inf
         if not 0 < k < len(fixes) - 1:
             continue
         before, after = k - 1, k + 1

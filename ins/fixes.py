@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,12 @@ class GnssFix:
     velocity_covariance_n_m2ps2: FloatArray | None = None  # (3, 3)
     velocity_age_s: float = 0.0  # measured so long ago, and carried on by the increments since
     together: float = 1.0  # so many positions in a row count as one: their covariance has it in
+
+    @property
+    def velocity_sigma_mps(self) -> float:
+        """1σ per axis of the velocity; infinite without one."""
+        V = self.velocity_covariance_n_m2ps2
+        return math.inf if self.v_n_mps is None or V is None else math.sqrt(np.trace(V) / 3.0)
 
 
 def lasting_together(lasting_s: float, apart_s: float) -> float:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from deepgnss.core.earth import Real
 from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade
+
+_CREEPING_MPS: Final = 0.5
 
 
 class StandstillLimits(NamedTuple):
@@ -38,6 +41,11 @@ def standstill_limits(
         factor * np.hypot(grade.gyro_noise_rad_rts * np.sqrt(rate_hz), engine_radps),
         factor * np.hypot(grade.accel_noise_mps_rts * np.sqrt(rate_hz), engine_mps2),
     )
+
+
+def fastest_at_rest_mps(sigma_mps: Real) -> Real:
+    """Speed of a fix, by its 1σ, up to which what is quiet may be taken for at rest."""
+    return _CREEPING_MPS + 3.0 * sigma_mps
 
 
 def standing(

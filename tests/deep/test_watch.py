@@ -5,10 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from deepgnss.core.earth import gravity_mps2
+from deepgnss.core.frames import ecef
+from deepgnss.core.records import ImuBlock
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.guard import Guard, Unit
 from deepgnss.deep.time_offset import CarrierLoop, StretchFit
-from deepgnss.deep.watch import PATIENCE_S, Turn, Watch, bias_finding, travel_finding
+from deepgnss.deep.watch import (
+    PATIENCE_S,
+    Turn,
+    Watch,
+    bias_finding,
+    travel_finding,
+    turn_on_finding,
+)
+from deepgnss.ins import GnssFix
+from deepgnss.ins.turn_on import TurnOn, TurnOnBias
 from deepgnss.ins.updates import Innovation
 from deepgnss.io.config.imu_grade import imu_grade
 
@@ -178,6 +190,36 @@ def test_biases_tell_the_grade() -> None:
     assert "accelerometers" in bias_finding(ZERO, force, grade, 60.0)
     wandering = grade._replace(gyro_drift_radps2_rthz=grade.gyro_bias_radps)
     assert bias_finding(tenfold, ZERO, wandering, 600.0) == ""
+
+
+def test_biases_at_the_start_tell_the_grade() -> None:
+    """In multiples of what is stated, where they are beyond all that the grade allows."""
+    grade = imu_grade("MTi-G")
+    told = TurnOnBias(10.0 * grade.accel_bias_mps2, 0.014)
+    within = TurnOnBias(10.0 * grade.gyro_bias_radps, 9.0 * grade.gyro_bias_radps)
+    found = turn_on_finding(TurnOn(within, told), grade)
+    assert found == (
+        "biases at its start are 10 times those of its grade in the accelerometers: imu.grade?"
+    )
+    assert turn_on_finding(TurnOn(within, told._replace(sigma=0.03)), grade) == ""
+
+
+@pytest.mark.parametrize("times", [0.0, 10.0])
+def test_a_log_that_begins_with_biases_is_said(times: float) -> None:
+    """At the first fix that can tell, of a vehicle that has been at rest."""
+    dt_s, place_e_m = np.full(1000, 0.01), ecef(0.5, 2.0, 30.0)
+    felt = -float(gravity_mps2(0.5, 30.0)) + times * STIM300.accel_bias_mps2
+    block = ImuBlock(
+        START, np.cumsum(dt_s), dt_s, np.zeros((1000, 3)), np.outer(dt_s, [0.0, 0.0, felt])
+    )
+    guard = Guard(Unit(STIM300, ZERO, 0.0, 0.0), CarrierLoop(3, 7.0, 0.02))
+    for at_s, v_mps, sigma_mps in ((1.0, 0.0, 0.01), (4.0, 9.0, 5.0), (5.0, 0.0, 0.01)):
+        v_n = np.array([v_mps, 0.0, 0.0])
+        fix = GnssFix(START.plus(at_s), place_e_m, np.eye(3), v_n, sigma_mps**2 * np.eye(3))
+        assert guard.warnings() == ()
+        guard._begin(block, fix)
+    assert len(guard.warnings()) == (times > 0.0)
+    assert all("10 times" in line for line in guard.warnings())
 
 
 @pytest.mark.parametrize("late_s", [0.1, -0.1])
