@@ -6,7 +6,7 @@ knows after a step it uses in the next; nothing looks ahead of the epoch's sampl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -206,11 +206,7 @@ class Receiver:
 
     def let_go(self, gone: Mapping[str, str]) -> None:
         """Give up channels after a step, by satellite with the reason: they are searched anew."""
-        for bank in self.banks:
-            for channel in bank.tracked():
-                if channel.satellite in gone:
-                    channel.drop(gone[channel.satellite])
-                    self._late.extend(self._counted(channel.events[-1:], bank))
+        self._act(gone, lambda channel: channel.drop(gone[channel.satellite]))
         self._retire()
 
     def mend(self, satellite: str, cycles: float | None, reason: str) -> None:
@@ -219,11 +215,15 @@ class Receiver:
         cycles: missing in the phase as RINEX has it, a multiple of ½; they are put back, and where
         no phase without them was put out the arc goes on. None: not known, a new arc begins.
         """
+        self._act([satellite], lambda channel: channel.mend(cycles, reason, told=self._told))
+
+    def _act(self, satellites: Container[str], act: Callable[[Channel], None]) -> None:
+        """Do something to channels after a step, and keep the events it makes for the next one."""
         for bank in self.banks:
             for channel in bank.tracked():
-                if channel.satellite == satellite:
+                if channel.satellite in satellites:
                     before = len(channel.events)
-                    channel.mend(cycles, reason, told=self._told)
+                    act(channel)
                     self._late.extend(self._counted(channel.events[before:], bank))
 
     def sample_in(self, rate_hz: Fraction | float, sample: int) -> int:
