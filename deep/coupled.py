@@ -235,9 +235,11 @@ class CoupledNavigation:
             for channel in receiver.channels
             if channel.coasting and channel.satellite in skyline.row
         ]
+        if state.leg is None or not coasting:
+            return {}
         names = [one.satellite for one in coasting]
         sigma_mps = self._bridge.rate_sigma_mps(names, skyline, C_ne(ins.lat_rad, ins.lon_rad))
-        if state.leg is None or sigma_mps is None:
+        if sigma_mps is None:
             return {}
         return self._straying.take(state.leg.end_s, coasting, sigma_mps)
 
