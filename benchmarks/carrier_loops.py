@@ -22,6 +22,7 @@ LOOPS = ("pll2", "pll3", "kalman", "long_update")
 _SLIP_CYCLES = 0.25
 _SHORTEST_S = 3.0  # of an arc whose mean says something
 _SETTLED_M = 1e-6
+_MOST_ROUNDS = 10_000  # it takes hundreds where arcs are short and overlap with few others
 
 
 class Run(NamedTuple):
@@ -37,6 +38,7 @@ class Phases(NamedTuple):
     """Phases of a run against the truth."""
 
     sigma_m: float  # about the means of arcs, what an epoch has in common taken off
+    settled: bool  # whether means and common parts came to rest
     steps: int  # of more than a quarter cycle that no flag announces
     arcs: int
 
@@ -90,7 +92,7 @@ def lines(runs: list[Run]) -> Iterator[list[str]]:
         yield [
             run.loop,
             "aided" if run.aided else "none",
-            f"{1e3 * found.sigma_m:.2f}",
+            f"{1e3 * found.sigma_m:.2f}" + ("" if found.settled else " (not settled)"),
             f"{found.steps}",
             f"{found.arcs}",
             f"{100.0 * run.errors['phase_m'].notna().sum() / len(there):.1f}",
@@ -104,14 +106,16 @@ def phases(errors: pd.DataFrame) -> Phases:
     arc = own["satellite"] + own["arc"].astype(str)
     length_s = own.groupby(arc)["time_ms"].transform(np.ptp) / 1e3
     own, arc = own[length_s >= _SHORTEST_S], arc[length_s >= _SHORTEST_S]
-    left, moved_m = own["phase_m"], np.inf
-    while moved_m > _SETTLED_M:  # many rounds where arcs are short and overlap with few others
+    left, moved_m, rounds = own["phase_m"], np.inf, 0
+    while moved_m > _SETTLED_M and rounds < _MOST_ROUNDS:
         before, left = left, left - left.groupby(arc).transform("mean")
         left = left - left.groupby(own["time_ms"]).transform("median")
-        moved_m = float((left - before).abs().max())
+        moved_m, rounds = float((left - before).abs().max()), rounds + 1
     steps = left.groupby(arc).diff().abs()
     limit_m = own["satellite"].map(wavelength_m) * _SLIP_CYCLES
-    return Phases(float((left**2).mean() ** 0.5), int((steps > limit_m).sum()), arc.nunique())
+    sigma_m = float((left**2).mean() ** 0.5)
+    wrong = int((steps > limit_m).sum())
+    return Phases(sigma_m, moved_m <= _SETTLED_M, wrong, arc.nunique())
 
 
 if __name__ == "__main__":
