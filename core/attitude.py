@@ -102,6 +102,22 @@ def cross(a: Vector, b: Vector) -> Vector:
     )
 
 
+@kernel
+def _error_n(q_nb_estimated: FloatArray, q_nb_true: FloatArray) -> FloatArray:
+    """As `attitude_error_n`, of one attitude (4,)."""
+    e, t = q_nb_estimated, q_nb_true
+    turn = product((t[0], t[1], t[2], t[3]), conjugate((e[0], e[1], e[2], e[3])))
+    return np.array(to_rotation_vector(turn))
+
+
+@kernel
+def _corrected(q_nb_estimated: FloatArray, phi_n_rad: FloatArray) -> FloatArray:
+    """As `attitude_corrected`, of one attitude (4,)."""
+    e, phi = q_nb_estimated, phi_n_rad
+    back = from_rotation_vector((phi[0], phi[1], phi[2]))
+    return np.array(normalized(product(back, (e[0], e[1], e[2], e[3]))))
+
+
 # --- over arrays: components on the last axis -----------------------------------------------------
 
 
@@ -234,10 +250,14 @@ def slerp(q0: FloatArray, q1: FloatArray, fraction: FloatArray) -> FloatArray:
 
 def attitude_error_n(q_nb_estimated: FloatArray, q_nb_true: FloatArray) -> FloatArray:
     """Attitude errors φ in NED (..., 3): C_nb_estimated = (I − [φ×]) C_nb_true."""
+    if q_nb_estimated.ndim == q_nb_true.ndim == 1:
+        return _error_n(q_nb_estimated, q_nb_true)
     return rotation_vector(quaternion_product(q_nb_true, quaternion_conjugate(q_nb_estimated)))
 
 
 def attitude_corrected(q_nb_estimated: FloatArray, phi_n_rad: FloatArray) -> FloatArray:
     """Attitudes (..., 4) freed of their error φ in NED (..., 3)."""
+    if q_nb_estimated.ndim == phi_n_rad.ndim == 1:
+        return _corrected(q_nb_estimated, phi_n_rad)
     correction = quaternion_from_rotation_vector(phi_n_rad)
     return quaternion_normalized(quaternion_product(correction, q_nb_estimated))

@@ -26,6 +26,7 @@ import numpy as np
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne, geodetic
+from deepgnss.core.linear import inverse
 from deepgnss.core.records import FloatArray, NavSolution
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.navigation import LASTING_M, Antenna, NavigationState
@@ -72,8 +73,8 @@ class Placing:
 def _weighed(found: NavSolution, place: Place, together: float) -> NavSolution:
     """A plain adjustment with less weight on its ranges; formulas at the top."""
     C1, P = found.covariance_m2, place.covariance_m2
-    both, prior = np.linalg.inv(C1[:3, :3]), np.linalg.inv(P)
-    C = np.linalg.inv(prior + (both - prior) / together)
+    both, prior = inverse(C1[:3, :3].copy()), inverse(P)
+    C = inverse(prior + (both - prior) / together)
     C = 0.5 * (C + C.T)
     r_e_m = place.r_e_m + C @ both @ (found.r_e_m - place.r_e_m) / together
     moved_m = r_e_m - found.r_e_m

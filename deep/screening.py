@@ -261,8 +261,9 @@ class Screening:
         H = np.zeros((len(seen.satellites), self._x.size))
         H[:, _PLACE], H[:, _BIAS] = -seen.unit_e, 1.0
         column = {name: _FIXED + k for k, name in enumerate(self._names)}
-        for row, satellite in enumerate(seen.satellites):
-            H[row, [column[satellite[0]], column[satellite]]] = 1.0
+        rows = np.arange(len(seen.satellites))
+        H[rows, [column[satellite[0]] for satellite in seen.satellites]] = 1.0
+        H[rows, [column[satellite] for satellite in seen.satellites]] = 1.0
         return H
 
     def _learn(

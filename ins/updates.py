@@ -66,8 +66,10 @@ def updated(estimate: Estimate, measurements: Iterable[Measurement], false_alarm
         )
     if innovations:
         check_covariance(P)
-    M = turned_along(x_turning, x.size)
-    return Updated(estimate.corrected(x, M @ P @ M.T), x, x_turning, tuple(innovations))
+    if x_turning.any():
+        M = turned_along(x_turning, x.size)
+        P = M @ P @ M.T
+    return Updated(estimate.corrected(x, P), x, x_turning, tuple(innovations))
 
 
 def counts(innovations: Iterable[Innovation]) -> Mapping[str, Count]:

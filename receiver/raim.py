@@ -56,7 +56,6 @@ def check_residuals(
     squares by e_Sᵀ Q_SS⁻¹ e_S, with Q the projector onto the residual space.
     """
     rows, unknowns = H.shape
-    A = H / sigma[:, np.newaxis]
     e = residuals / sigma
     statistic = float(e @ e)
     dof = rows - unknowns
@@ -65,6 +64,7 @@ def check_residuals(
     limit = float(chdtri(dof, false_alarm))
     if statistic <= limit:
         return RaimResult(True, statistic, limit, ())
+    A = H / sigma[:, np.newaxis]
     q, _ = np.linalg.qr(A)
     Q = np.eye(rows) - q @ q.T
     best: tuple[int, ...] = ()
