@@ -21,6 +21,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.optimize import brentq
 
+from deepgnss.core.jit import kernel
 from deepgnss.core.records import FloatArray
 
 PROTOTYPES = {1: (1.0, 1.0), 2: (1.0, math.sqrt(2.0), 1.0), 3: (1.0, 2.0, 2.0, 1.0)}
@@ -118,3 +119,20 @@ def settling_time_s(bandwidth_hz: float) -> float:
     natural = bandwidth_hz * 8.0 * damping / (4.0 * damping**2 + 1.0)
     root = math.sqrt(1.0 - damping**2)
     return math.atan2(root, damping) / (natural * root)
+
+
+@kernel
+def follow(gain: FloatArray, phase: FloatArray, frequency: FloatArray) -> None:
+    """Frequencies that a loop beginning at zero finds in mean phases, in units of T = 1.
+
+    gain: (3,) of phase, frequency and rate. phase, frequency: (n, columns), each column by itself.
+    """
+    for column in range(phase.shape[1]):
+        predicted = rate = turning = 0.0
+        for k in range(phase.shape[0]):
+            error = phase[k, column] - predicted
+            turning += gain[2] * error
+            rate += gain[1] * error
+            frequency[k, column] = rate
+            predicted += gain[0] * error + rate + 0.5 * turning
+            rate += turning

@@ -22,11 +22,10 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter, ss2tf
 
 from deepgnss.core.attitude import from_rotation_vector, rotation_matrix, skew
 from deepgnss.core.frames import geodetic
-from deepgnss.core.loops import loop_gains
+from deepgnss.core.loops import follow, loop_gains
 from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade
 from deepgnss.ins.coarse import (
     SURE_YAW_RAD,
@@ -88,13 +87,9 @@ class CarrierLoop(NamedTuple):
 
     def frequency(self, phase: FloatArray) -> FloatArray:
         """Frequencies (n, 3) it finds, per interval, in mean phases (n, 3) of n intervals."""
-        K = np.array(loop_gains(*self))[: self.order] * self.interval_s ** np.arange(self.order)
-        Phi = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
-        Phi = Phi[: self.order, : self.order]
-        kept = np.eye(self.order)
-        kept[:, 0] -= K
-        b, a = ss2tf(Phi @ kept, (Phi @ K)[:, np.newaxis], kept[1:2], K[1:2, np.newaxis])
-        found: FloatArray = lfilter(b[0], a, phase, axis=0)
+        gain = np.array(loop_gains(*self)) * self.interval_s ** np.arange(3)
+        found = np.empty(phase.shape)
+        follow(gain, phase, found)
         return found
 
 

@@ -218,11 +218,11 @@ def delay(by_cells: float, cells: int) -> Complex64Array:
 
 @kernel
 def shift_blocks(
-    spectra: Complex64Array, bins: int, step: Complex64Array, out: Complex64Array
+    spectra: Complex64Array, bins: int, half: Complex64Array, out: Complex64Array
 ) -> None:
-    """Spectra (blocks, rows, cells) moved down by bins, block b times step (cells) to the b + ½."""
+    """Spectra (blocks, rows, cells) moved down by bins, block b times half to the power 2b + 1."""
     blocks, count, cells = spectra.shape
-    turn = np.sqrt(step)
+    turn, step = half.copy(), half * half
     for block in range(blocks):
         for row in range(count):
             source, target = spectra[block, row], out[block, row]
@@ -250,8 +250,8 @@ def doppler_rows(
             weights = np.exp(-2j * np.pi * group[:, np.newaxis] * within).astype(np.complex64)
             source = weights @ source
         # Where the code stands in the middle of each block, against that at the start.
-        block_s = coherent * periods.whole * period_s
-        drift = block_s * 0.5 * half_bin * bin_hz * periods.cells_per_hz_s
+        half_block_s = 0.5 * coherent * periods.whole * period_s
+        drift = half_block_s * 0.5 * half_bin * bin_hz * periods.cells_per_hz_s
         rows = np.empty_like(source)
         shift_blocks(source, shift % periods.window, delay(drift, periods.window), rows)
         yield group, rows
