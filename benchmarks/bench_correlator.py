@@ -17,12 +17,15 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=15, help="runs whose median is printed")
     runs = parser.parse_args().runs
     table = Table(title="Baseband core, one thread, CPU time", title_justify="left")
-    for name in ("Msps", "sum, zero IF", "sum, real with IF", "channel, 3 taps", "real time"):
+    sums = ("sum, 2 bits, zero IF", "sum, 8 bits, zero IF", "sum, 8 bits, real with IF")
+    for name in ("Msps", *sums, "channel, 3 taps", "real time"):
         table.add_column(name, justify="right")
     for rate_hz in RATES_HZ:
+        packed = correlator_cost(rate_hz, True, runs, packed=True)
         zero, real = (correlator_cost(rate_hz, form, runs) for form in (True, False))
         table.add_row(
             f"{rate_hz / 1e6:.0f}",
+            f"{packed.sum_ns:.2f} ns/sample",
             f"{zero.sum_ns:.2f} ns/sample",
             f"{real.sum_ns:.2f} ns/sample",
             f"{zero.channel_us:.2f} µs/ms",

@@ -25,6 +25,7 @@ from deepgnss.core.records import (
     GPS_L1CA,
     FloatArray,
     NcoCommand,
+    PackedSamples,
     RunningSums,
     SampleBlock,
     StreamInfo,
@@ -63,15 +64,28 @@ class CorrelatorCost(NamedTuple):
     channel_us: float  # per channel and ms of signal
 
 
-def correlator_cost(rate_hz: float, is_complex: bool, runs: int) -> CorrelatorCost:
-    """Median cost of a stretch of noise, block by block as the receiver goes through it."""
+def correlator_cost(
+    rate_hz: float, is_complex: bool, runs: int, packed: bool = False
+) -> CorrelatorCost:
+    """Median cost of a stretch of noise, block by block as the receiver goes through it.
+
+    packed: complex samples of two bits, two in a byte.
+    """
     count = round(_STRETCH_S * rate_hz)
     intermediate_hz = 0.0 if is_complex else rate_hz / 4.1
     stream = StreamInfo("L1", rate_hz, GPS_L1CA.carrier_hz, intermediate_hz, is_complex, count)
     shape = (count, 2) if is_complex else (count,)
-    samples = np.random.default_rng(1).integers(-60, 60, shape, dtype=np.int8)
+    generator = np.random.default_rng(1)
+    samples = generator.integers(-60, 60, shape, dtype=np.int8)
+    table = generator.integers(-3, 4, (256, 2, 2), dtype=np.int8)
+    data = generator.integers(0, 256, count // 2 + 1, dtype=np.uint8)
 
     def read(first: int, length: int) -> SampleBlock:
+        if packed:
+            held = PackedSamples(
+                data[first // 2 : (first + length + 1) // 2], table, first % 2, length
+            )
+            return SampleBlock(stream, first, held)
         return SampleBlock(stream, first, samples[first : first + length])
 
     costs = [_pass(SumFeed(read, stream, GPS_L1CA.carrier_hz, 0), count) for _ in range(runs + 1)]
