@@ -28,8 +28,7 @@ from deepgnss.receiver.weights import delays
 STEP_S = 1e-3  # between the points of a profile
 AHEAD_S = 0.02  # over which a command is taken as linear: an update of the loops
 _BEFORE_S = 0.04  # updates that straddle the epoch's start
-_DELAY_STEP_S = 10.0  # over which the atmosphere's rate is taken …
-_DELAYS_KEPT_S = 5.0  # … and for how long it is used
+_DELAYS_KEPT_S = 5.0  # over which the atmosphere's rate is taken, and for how long it is used
 
 
 class Listener(NamedTuple):
@@ -143,14 +142,14 @@ def carrier_delay_rates(
     The troposphere delays the carrier as the code, the ionosphere advances it.
     """
     lengths = []
-    for wait_s in (0.0, _DELAY_STEP_S):
+    for wait_s in (0.0, _DELAYS_KEPT_S):
         later = time.plus(wait_s)
         seen = orbits.predict(ephemerides, later, r_e_m, np.zeros(3))
         place = (r_e_m, seen.azimuth_rad, seen.elevation_rad, carriers_hz)
         both_m, _ = delays(nav, parameters, later, *place)
         neutral_m, _ = delays(nav, replace(parameters, ionosphere="none"), later, *place)
         lengths.append(2.0 * neutral_m - both_m)
-    return np.asarray((lengths[1] - lengths[0]) / _DELAY_STEP_S)
+    return np.asarray((lengths[1] - lengths[0]) / _DELAYS_KEPT_S)
 
 
 class Skyline(NamedTuple):

@@ -39,15 +39,14 @@ class Arc:
 
     name: Name
     wavelength_m: float
-    believed_s: float  # last tag at which it agreed with all others
     heard_s: float  # last tag at which there was one
     range_m: float = 0.0  # predicted since it began
     doubted_s: float = math.nan  # since when it does not agree …
     off_cycles: list[float] = field(default_factory=list)  # … and by how much, tag by tag
 
-    def trust(self, now_s: float) -> None:
+    def trust(self) -> None:
         """It agrees (again)."""
-        self.believed_s, self.doubted_s, self.off_cycles = now_s, math.nan, []
+        self.doubted_s, self.off_cycles = math.nan, []
 
 
 class Verdict(NamedTuple):

@@ -31,8 +31,9 @@ from deepgnss.theory.tracking_error import pll_thermal_sigma_cycles
 _LIMIT: Final = 4.0  # σ from which a phase is left out
 _JUMP: Final = 5.0  # σ from which what most have in common is a jump
 _MANY: Final = 5  # phases whose agreement says more than the navigation
-_WALK_MPRTS: Final = 3e-4  # of an arc's constant: satellite clocks
-_ATMOSPHERE: Final = (1e-4, 0.3)  # m/s, share of the modelled rate: 1σ of what is not modelled
+_WALK_MPRTS: Final = 3e-4  # of an arc's own error: satellite clocks
+_UNMODELLED: Final = (1e-4, 0.3)  # 1σ of a rate: m/s, and share of the atmosphere's …
+_LASTING_S: Final = 300.0  # … and for how long it is the same: waves of the ionosphere
 _REST_M: Final = 1e-3  # by which an antenna at rest moves
 _MANOEUVRE_S: Final = 1.0  # for which a force on the oscillator lasts
 _STALE_S: Final = 2.0  # for an arc not heard of, and for a skyline
@@ -92,7 +93,6 @@ class _Sights(NamedTuple):
     rate_mps: FloatArray  # (k,) of the range to a resting antenna
     toward_n: FloatArray  # (k, 3)
     clocked: FloatArray  # (k,) 1: the receiver's clock is in it
-    unmodelled_mps: FloatArray  # (k,) 1σ of the rate
 
 
 class Bridge:
@@ -194,6 +194,7 @@ class Bridge:
         longer_m = seconds * sights.rate_mps - sights.toward_n @ (tag.C_ne @ leg.moved_e_m)
         for arc, one_m in zip(self._arcs, longer_m, strict=True):
             arc.range_m += float(one_m)
+        walk_mps = _UNMODELLED[0] * math.sqrt(2.0 * seconds / _LASTING_S)
         force_g = float(np.linalg.norm(leg.gained_e_mps)) / seconds / STANDARD_GRAVITY_MPS2
         shaken_mps = SPEED_OF_LIGHT_MPS * self._oscillator.g_sensitivity * force_g
         known.carry(
@@ -204,6 +205,7 @@ class Bridge:
             seconds,
             clock_shaken_m2=shaken_mps**2 * 2.0 * _MANOEUVRE_S * seconds,
             arcs_walk_m2=_WALK_MPRTS**2 * seconds,
+            rates_walk_m2ps2=walk_mps**2 * sights.clocked,
         )
 
     def _sights(self, skyline: Skyline, time_s: float, C_ne: FloatArray) -> _Sights:
@@ -213,13 +215,9 @@ class Bridge:
         rows = np.array([skyline.row.get(satellite, -1) for satellite, _ in names], dtype=np.int64)
         sky, count = rows >= 0, len(names)
         rows = rows[sky]
-        sights = _Sights(
-            np.zeros(count), np.zeros((count, 3)), sky.astype(np.float64), np.zeros(count)
-        )
+        sights = _Sights(np.zeros(count), np.zeros((count, 3)), sky.astype(np.float64))
         sights.rate_mps[sky] = rates[0, rows]
         sights.toward_n[sky] = toward_e[0, rows] @ C_ne.T
-        floor_mps, share = _ATMOSPHERE
-        sights.unmodelled_mps[sky] = np.hypot(floor_mps, share * skyline.delay_rate_mps[rows])
         for axis, name in enumerate(REST):
             if name in names:
                 sights.toward_n[names.index(name), axis] = 1.0
@@ -257,9 +255,7 @@ class Bridge:
         H = known.rows(sights.toward_n, sights.clocked)[rows]
         arcs = [self._arcs[k] for k in rows]
         y_m = np.array([seen[arc.name].phase_m - arc.range_m for arc in arcs])
-        silent_s = np.array([now_s - arc.believed_s for arc in arcs])
         variance_m2 = np.array([seen[arc.name].sigma_m ** 2 for arc in arcs])
-        variance_m2 += (sights.unmodelled_mps[rows] * silent_s) ** 2
         kept, jump_m = self._agreeing(known, tag, H, y_m, variance_m2)
         known.update(H[kept], y_m[kept], variance_m2[kept])
         if np.sum(sights.clocked[rows] * kept) < _PHASES_ENOUGH and math.isfinite(tag.drift[0]):
@@ -267,7 +263,7 @@ class Bridge:
         for arc, agrees in zip(arcs, kept, strict=True):
             arc.heard_s = now_s
             if agrees:
-                arc.trust(now_s)
+                arc.trust()
         if kept.all():
             return jump_m, ()
         off_m, covariance = known.innovation(H, y_m, variance_m2)
@@ -278,7 +274,7 @@ class Bridge:
             found = verdict(arc, now_s, float(off_m[k]), math.sqrt(covariance[k, k]))
             if found is None:
                 continue
-            arc.trust(now_s)
+            arc.trust()
             slip = found.slip
             if slip is None or slip.cycles is None:
                 known.open_arc(rows[k], float(off_m[k]) ** 2)
@@ -338,11 +334,12 @@ class Bridge:
         if not fresh:
             return
         first = len(self._arcs)
-        self._arcs += [Arc(name, seen[name].wavelength_m, now_s, now_s) for name in fresh]
+        self._arcs += [Arc(name, seen[name].wavelength_m, now_s) for name in fresh]
         sights = self._sights(skyline, now_s, tag.C_ne)
         known.begin(
             np.array([seen[name].phase_m for name in fresh]),
             np.array([seen[name].sigma_m ** 2 for name in fresh]),
+            np.square([_unmodelled_mps(name, skyline) for name in fresh]),
             sights.toward_n[first:],
             sights.clocked[first:],
         )
@@ -368,11 +365,16 @@ class Bridge:
                 continue
             arc = self._arcs[k]
             phase_m = y_m[k] + arc.range_m - self._model_m
-            sigma_m = math.hypot(
-                math.sqrt(variance_m2[k]),
-                sights.unmodelled_mps[k] * (self._now_s - arc.believed_s),
-            )
             moves[one.satellite] = Coast(
-                float(phase_m / arc.wavelength_m - one.carrier_cycles), sigma_m / arc.wavelength_m
+                float(phase_m / arc.wavelength_m - one.carrier_cycles),
+                math.sqrt(variance_m2[k]) / arc.wavelength_m,
             )
         return moves
+
+
+def _unmodelled_mps(name: Name, skyline: Skyline) -> float:
+    """1σ of the rate predicted for an arc."""
+    if name in REST:
+        return 0.0
+    floor_mps, share = _UNMODELLED
+    return math.hypot(floor_mps, share * float(skyline.delay_rate_mps[skyline.row[name[0]]]))

@@ -4,11 +4,13 @@ The phase of a satellite, in metres and less the range predicted since its arc b
 
     y = b + c + u·d + noise
 
-with b the arc's constant, c the receiver's clock, u the direction to the satellite and d the error
+with b the arc's own error, c the receiver's clock, u the direction to the satellite and d the error
 of the antenna's way by the inertial navigation (its position corrections left out). The state is
-(d, x, clock, b…): x are the navigation's errors without position, which make d grow (and the scale
-of an odometer, where wheels say how fast the car rolls along its axes); the clock is an oscillator
-of given power law. A phase that is missing stays predicted, with its covariance:
+(d, x, clock, (b, r)…): x are the navigation's errors without position, which make d grow (and the
+scale of an odometer, where wheels say how fast the car rolls along its axes); the clock is an
+oscillator of given power law. b walks, and grows by r, the error of the predicted range's rate:
+what models leave of the atmosphere, and a place that is wrong (1 m makes up to 0.2 mm/s, as the
+satellite goes on). A phase that is missing stays predicted, with its covariance:
 differences over any stretch are as good as the phases at its ends, whoever else was there.
 
 Errors are estimate − truth; clock and phases grow with range.
@@ -65,7 +67,17 @@ class PhaseFilter:
     @property
     def arcs(self) -> int:
         """How many there are."""
-        return int(self.mean.size) - self._base
+        return (int(self.mean.size) - self._base) // 2
+
+    @property
+    def _own(self) -> slice:
+        """Of each arc's own error."""
+        return slice(self._base, None, 2)
+
+    @property
+    def _own_rate(self) -> slice:
+        """Of its growth."""
+        return slice(self._base + 1, None, 2)
 
     @property
     def drift_mps(self) -> float:
@@ -112,14 +124,16 @@ class PhaseFilter:
         seconds: float,
         *,
         clock_shaken_m2: float = 0.0,
-        arcs_walk_m2: float = 0.0,
+        arcs_walk_m2: FloatArray | float = 0.0,
+        rates_walk_m2ps2: FloatArray | float = 0.0,
     ) -> None:
         """Go on to the next tag: the way's error grows by what the errors do to the antenna.
 
         H (3, n): slope of the antenna's position (NED) in the inertial errors at both ends;
-        Phi, Q (n, n) of the errors in between; variances that come on top.
+        Phi, Q (n, n) of the errors in between; variances that come on top, those of arcs (arcs,).
         """
         base, errors, clock = self._base, self._errors, self._clock
+        own, own_rate = self._own, self._own_rate
         F, added = np.eye(base), np.zeros((base, base))
         F[_WAY, errors] = (H_end @ Phi - H_begin)[:, _FROM:]
         F[errors, errors] = Phi[_FROM:, _FROM:]
@@ -128,11 +142,15 @@ class PhaseFilter:
         F[clock:, clock:], added[clock:, clock:] = self._clock_transition(seconds)
         added[clock, clock] += clock_shaken_m2
         self.mean[:base] = F @ self.mean[:base]
+        self.mean[own] += seconds * self.mean[own_rate]
         P = self.P
         P[:base] = F @ P[:base]
         P[:, :base] = P[:, :base] @ F.T
+        P[own] += seconds * P[own_rate]
+        P[:, own] += seconds * P[:, own_rate]
         P[:base, :base] += added
-        P[np.arange(base, P.shape[0]), np.arange(base, P.shape[0])] += arcs_walk_m2
+        np.einsum("ii->i", P)[own] += arcs_walk_m2
+        np.einsum("ii->i", P)[own_rate] += rates_walk_m2ps2
         self.P = 0.5 * (P + P.T)
 
     def _clock_transition(self, seconds: float) -> tuple[FloatArray, FloatArray]:
@@ -179,13 +197,13 @@ class PhaseFilter:
             self.P[k, k] += variance_m2
 
     def open_arc(self, arc: int, variance_m2: float) -> None:
-        """An arc's constant is known less well than it seemed."""
-        k = self._base + arc
+        """An arc's own error is known less well than it seemed."""
+        k = self._base + 2 * arc
         self.P[k, k] += variance_m2
 
     def rest_way(self, toward_n: FloatArray) -> None:
-        """Move the way's mean error into the arcs' constants: directions (arcs, 3) change."""
-        self.mean[self._base :] += toward_n @ self.mean[_WAY]
+        """Move the way's mean error into the arcs' own: directions (arcs, 3) change."""
+        self.mean[self._own] += toward_n @ self.mean[_WAY]
         self.mean[_WAY] = 0.0
 
     # --- phases --------------------------------------------------------------------------------
@@ -195,26 +213,34 @@ class PhaseFilter:
         H = np.zeros((self.arcs, self.mean.size))
         H[:, _WAY] = toward_n
         H[:, self._clock] = clocked
-        H[:, self._base :] = np.eye(self.arcs)
+        H[:, self._own] = np.eye(self.arcs)
         return H
 
     def begin(
-        self, y_m: FloatArray, variance_m2: FloatArray, toward_n: FloatArray, clocked: FloatArray
+        self,
+        y_m: FloatArray,
+        variance_m2: FloatArray,
+        rate_variance_m2ps2: FloatArray,
+        toward_n: FloatArray,
+        clocked: FloatArray,
     ) -> None:
-        """New arcs (k): their constants are what the phases are above all else."""
+        """New arcs (k): their own errors are what the phases are above all else."""
         size, count = self.mean.size, y_m.size
         h = np.zeros((count, size))
         h[:, _WAY], h[:, self._clock] = toward_n, clocked
         across = -h @ self.P
-        P = np.zeros((size + count, size + count))
+        own, own_rate = slice(size, None, 2), slice(size + 1, None, 2)
+        mean, P = np.zeros(size + 2 * count), np.zeros((size + 2 * count, size + 2 * count))
+        mean[:size], mean[own] = self.mean, y_m - h @ self.mean
         P[:size, :size] = self.P
-        P[size:, :size], P[:size, size:] = across, across.T
-        P[size:, size:] = -across @ h.T + np.diag(variance_m2)
-        self.mean, self.P = np.concatenate([self.mean, y_m - h @ self.mean]), P
+        P[own, :size], P[:size, own] = across, across.T
+        P[own, own] = -across @ h.T + np.diag(variance_m2)
+        P[own_rate, own_rate] = np.diag(rate_variance_m2ps2)
+        self.mean, self.P = mean, P
 
     def keep(self, kept: Chosen) -> None:
         """Forget arcs, (arcs,) false."""
-        all_kept = np.concatenate([np.ones(self._base, dtype=np.bool_), kept])
+        all_kept = np.concatenate([np.ones(self._base, dtype=np.bool_), np.repeat(kept, 2)])
         self.mean, self.P = self.mean[all_kept], self.P[np.ix_(all_kept, all_kept)]
 
     def update(self, H: FloatArray, y_m: FloatArray, variance_m2: FloatArray) -> None:
@@ -224,7 +250,7 @@ class PhaseFilter:
 
     def take_drift(self, drift_mps: float, sigma_mps: float) -> None:
         """Take in the clock's frequency, times c, as Doppler tells it; not when it is far off."""
-        H = np.concatenate([self._rates, np.zeros(self.arcs)])[np.newaxis]
+        H = np.concatenate([self._rates, np.zeros(2 * self.arcs)])[np.newaxis]
         told = H, np.array([drift_mps]), np.array([sigma_mps**2])
         off_mps, covariance = self.innovation(*told)
         if off_mps[0] ** 2 < _FAR**2 * covariance[0, 0]:

@@ -172,6 +172,27 @@ def test_one_blocked_satellite_is_carried_on_by_the_others() -> None:
     assert sigmas[-1, 0] < 0.05
 
 
+def test_what_models_leave_of_rates_is_learnt_before_a_loop_opens() -> None:
+    """0.1 mm/s 1σ in every phase: 20 mcycles after 20 s for who asks only the others."""
+    errors, sigmas = [], []
+    for seed in range(4):
+        tags = Tags(45.0, cn0_dbhz=45.0, oscillator=OCXO, grade=imu_grade("MTi-G"), seed=seed)
+        blocked = _names(tags)[seed]
+        rates_mps = 1e-4 * np.random.default_rng(seed).standard_normal(tags.satellites)
+        ramps = [
+            (e.satellite, mps * 45.0 / SPEED_OF_LIGHT_MPS * e.signal.id.carrier_hz, 0.0, 45.0)
+            for e, mps in zip(tags.scenario.emitters, rates_mps, strict=True)
+        ]
+        told = tags.run(Bridge(OCXO, LOOP), lambda s, t, b=blocked: s == b and t > 25.0, ramps)
+        assert not _slips(told)
+        error, sigma = _carried(tags, told, 25.0)
+        errors.append(error[-1, 0])
+        sigmas.append(sigma[-1, 0])
+    assert np.sqrt(np.mean(np.square(errors))) < 0.010
+    assert np.sqrt(np.mean(np.square(np.divide(errors, sigmas)))) < 1.0
+    assert max(sigmas) < 0.03
+
+
 def test_at_rest_only_the_clock_grows() -> None:
     """All blocked: a vehicle that stands does not move, whatever its unit says."""
     grade = imu_grade("MTi-G")
