@@ -267,8 +267,12 @@ def predicted(run: Phases, one: Hidden, hidden: Sequence[Hidden], cn0_dbhz: floa
     parts = [entry_growth(thermal, length_s)]
     others_n = np.array([toward for name, toward in sights.items() if name not in gone])
     if len(others_n):
-        # Phases count as averaged for as long as the navigation bridges them better than they are.
-        alike = max(1, int(np.sum(way.phase_cycles < thermal)))
+        # Phases count as averaged for as long as navigation and clock bridge them better than they
+        # are themselves.
+        times_s = np.arange(1, way.phase_cycles.size + 1, dtype=np.float64) * TAG_S
+        clock = _clock(scenario.clock.oscillator, len(others_n), thermal, times_s)
+        bridged = together([way, clock])
+        alike = max(1, int(np.sum(bridged.phase_cycles < thermal)))
         noise_cycles = thermal / math.sqrt(alike)
         parts.append(
             shared_growth(sights[one.satellite], others_n, noise_cycles, last.phase_cycles)

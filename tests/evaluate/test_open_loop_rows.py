@@ -152,8 +152,14 @@ def test_prediction_for_all_is_the_clock_and_for_one_what_others_tell() -> None:
     for one in every:
         assert one.sigma_cycles == pytest.approx(math.hypot(clock, thermal), rel=1e-6)
     (alone,) = carried(run, [ONE])
-    others = len(names) - 1  # an antenna at rest: the clock by the others' mean, over 20 s
-    told = 2.0 / others / 200.0
+    others = len(names) - 1  # an antenna at rest: the clock by the others' mean, …
+    noise = thermal / math.sqrt(others)
+    tags_s = 0.1 * np.arange(1.0, 201.0)
+    soon = best_fit(sim.clock.oscillator, CARRIER_HZ, 0.1, noise)
+    wander = clock_growth(sim.clock.oscillator, CARRIER_HZ, soon, tags_s).phase_cycles
+    alike = int(np.sum(wander < thermal))  # … of as many tags as it does not wander by as much
+    assert 2 < alike < 10
+    told = 2.0 / others / alike
     assert alone.sigma_cycles == pytest.approx(thermal * math.sqrt(1.0 + told), rel=1e-6)
 
 
