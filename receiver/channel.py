@@ -11,7 +11,7 @@ turn its sign (see `observables`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -588,14 +588,21 @@ class Channel:
             and not self.settings.record_correlations
         )
 
-    def pass_on(self, update: Update, code_offset_hz: float) -> None:
-        """Take an update done elsewhere: what `conclude` leaves for those who look back."""
-        correction = Correction(update.phase, update.frequency, update.rate)
-        self.nco.correct(1, correction, update.middle_s, self._heard)
-        self.nco.resume(update.command, code_offset_hz, self._full)
-        self.leading.now = update.aid
-        self.cn0_dbhz = update.cn0_dbhz
-        self.nco.history.append(self._interval())
+    def pass_on(self, updates: Sequence[Update], code_offset_hz: float) -> None:
+        """Take updates done elsewhere: what `conclude` leaves for those who look back."""
+        alike, history = self._interval(), self.nco.history
+        last = history.pop()
+        for one in updates:
+            correction = Correction(one.phase, one.frequency, one.rate)
+            history.append(
+                last._replace(correction=correction, middle_s=one.middle_s, window=self._heard)
+            )
+            last = alike._replace(
+                command=one.command, periods=last.periods + self._full, cn0_dbhz=one.cn0_dbhz
+            )
+        history.append(last)
+        self.nco.resume(last.command, code_offset_hz, last.periods)
+        self.leading.now = updates[-1].aid
 
     def resume(self, locks: LockState, error_hz: float, symbols: bytes) -> None:
         """Go on after them: what the last one leaves, and the symbols of all."""

@@ -196,10 +196,10 @@ class Generators:
         )
 
     def resume(self, command: NcoCommand, code_offset_hz: float, periods: int) -> None:
-        """Go on from a command that was made elsewhere, so many code periods later."""
+        """Go on from a command that was made elsewhere, after so many code periods in all."""
         self.carrier = NcoState(command.carrier_cycles, command.carrier_hz, command.carrier_hzps)
         self.command, self.code_offset_hz = command, code_offset_hz
-        self.periods += periods
+        self.periods = periods
 
     def _command(self, sample: int, code_chips: float) -> NcoCommand:
         return command_of(self.rates, sample, self.carrier, code_chips, self.code_offset_hz)

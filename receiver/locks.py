@@ -194,7 +194,8 @@ def phase_averaged(
     """Mean cos 2φ with an interval's sum, the seconds it is of, and the interval's share."""
     seconds = phase_seconds + interval_s
     share = interval_s / min(seconds, phase_s)
-    double = (prompt * prompt).real / abs(prompt) ** 2
+    i2, q2 = prompt.real * prompt.real, prompt.imag * prompt.imag  # exact alike, compiled or not
+    double = (i2 - q2) / (i2 + q2)
     return phase + share * (double - phase), seconds, share
 
 

@@ -60,7 +60,7 @@ def correlate_all(
 class Rack:
     """Channels of one signal's name and with equal taps, through an epoch.
 
-    Each does exactly what its `run` does; those with nothing to decide do it in a kernel.
+    Each does what its `run` does; those with nothing to decide do it in a kernel.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ def run_together(
 ) -> None:
     """Track channels of one signal's name and with equal taps as far as the running sums go.
 
-    Each does exactly what its `run` does. aiding: by satellite.
+    Each does what its `run` does. aiding: by satellite.
     """
     going = [channel for channel in channels if channel.mode is not Mode.LOST]
     while going:

@@ -3,8 +3,8 @@
 The kernel here is the step of `channel` for the case that is nearly always at hand: a Costas loop
 on whole symbols, a code loop at its last bandwidth, no open loop to account for. It is put
 together of the same parts (`generators`, `discriminators`, `leading`, `locks`), so both come to the
-same bits. It stops a channel before the first update after which something would have to be
-decided: the channel then does that update by itself, from the same correlations.
+same, to rounding. It stops a channel before the first update after which something would have to
+be decided: the channel then does that update by itself, from the same correlations.
 
 No lock of the interpreter is held, so that the channels of two streams run at the same time.
 """
@@ -138,6 +138,11 @@ class Update(NamedTuple):
     def aid(self) -> AidingRate:
         """What the command that follows was predicted by."""
         return AidingRate(self.aid_hz, self.aid_hzps, self.clock_hz)
+
+    @property
+    def carrier(self) -> NcoState:
+        """Its carrier generator."""
+        return NcoState(self.carrier_cycles, self.carrier_hz, self.carrier_hzps)
 
     @property
     def command(self) -> NcoCommand:

@@ -12,6 +12,7 @@ import numpy as np
 
 from deepgnss.core.records import FloatArray, RunningSums
 from deepgnss.receiver.channel import Channel
+from deepgnss.receiver.coasting import Began
 from deepgnss.receiver.decisions import calm
 from deepgnss.receiver.leading import NO_GRID, Profile
 from deepgnss.receiver.locks import RECENT_KEPT, half_shifts
@@ -176,11 +177,12 @@ def take_back(
 
     recent: (RECENT_KEPT,) powers; updates and symbols since, by source.
     """
-    passed, leading = [], channel.leading
+    passed, leading, began = [], channel.leading, channel.open_loop.now()
     for update in updates:
-        before = channel.open_loop.now()
-        passed.append(channel.open_loop.passed(before, update.offset_hz, update.power))
-        channel.pass_on(update, state.code_offset_hz)
+        passed.append(channel.open_loop.passed(began, update.offset_hz, update.power))
+        periods = began.periods + channel.signal.update_periods
+        began = Began(update.command, update.carrier, periods, update.aid)
+    channel.pass_on(updates, state.code_offset_hz)
     leading.told_by = source
     leading.led_hz, leading.led_hzps = state.led_hz, state.led_hzps
     channel.open_loop.go_on(passed, state.offset_hz, state.offset_seconds)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from types import SimpleNamespace
 from typing import cast
 
@@ -71,7 +72,7 @@ def _channels() -> list[Channel]:
     ]
 
 
-def test_together_is_bit_by_bit_what_each_does_alone() -> None:
+def test_together_is_what_each_does_alone() -> None:
     block = _samples(int(0.5 * RATE_HZ))
     alone, together = _channels(), _channels()
     buffer = RunningSumBuffer(block.stream, CARRIER_HZ, 30_000)
@@ -84,7 +85,7 @@ def test_together_is_bit_by_bit_what_each_does_alone() -> None:
         run_together(together, buffer.sums, {})
     for one, other in zip(alone, together, strict=True):
         assert len(one.history) > 20
-        assert one.history == other.history
+        assert _alike(one.history, other.history)
         assert one.filled == other.filled > 0
 
 
@@ -181,24 +182,29 @@ GPS = [
 BDS = [_Sent(BDS_B1I_D1, 11, 900.0, 2.0), _Sent(BDS_B1I_D2, 3, -150.0, -3.0)]
 
 
-def _plain(value: object) -> object:
-    """Numbers in their places; what is not a number is none, like any other."""
-    if isinstance(value, tuple):
-        return tuple(_plain(one) for one in value)
-    return None if isinstance(value, float) and np.isnan(value) else value
+def _alike(one: object, other: object) -> bool:
+    """The same to rounding: sums in kernels may be made in any order, so others where inlined."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_alike(one[key], other[key]) for key in one)
+    if isinstance(one, tuple | list) and isinstance(other, tuple | list):
+        return len(one) == len(other) and all(map(_alike, one, other))
+    if isinstance(one, float) and isinstance(other, float):
+        both_nothing = math.isnan(one) and math.isnan(other)
+        return both_nothing or math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-9)
+    return one == other
 
 
 def _state(channel: Channel) -> dict[str, object]:
     """All that tells one channel from another."""
     return {
-        "history": [_plain(interval) for interval in channel.history],
+        "history": channel.history,
         "symbols": bytes(channel.symbols),
         "locks": channel.locks,
         "mode": channel.mode,
         "events": list(channel.events),
         "error": channel.frequency_error_hz,
         "taken": channel.filled,
-        "report": channel.report(""),
+        "report": astuple(channel.report("")),
         "arc": (channel.slips, channel.phase_valid, channel.phase_kept),
     }
 
@@ -208,7 +214,7 @@ def _state(channel: Channel) -> dict[str, object]:
     [(GPS, 3, 12), (GPS, 2, 12), (GPS, 3, 99), (BDS, 3, 12)],
     ids=["aided", "of order 2", "unaided", "BeiDou"],
 )
-def test_an_epoch_is_bit_by_bit_what_each_does_alone(
+def test_an_epoch_is_what_each_does_alone(
     sky: list[_Sent], order: int, aided_from: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rate_hz = 2.61e6 if sky is GPS else 5.3e6
@@ -251,7 +257,7 @@ def test_an_epoch_is_bit_by_bit_what_each_does_alone(
             rack.advance(buffer.sums)
         rack.finish()
         for satellite, channel in alone.items():
-            assert _state(racked[satellite]) == _state(channel), (epoch, satellite)
+            assert _alike(_state(racked[satellite]), _state(channel)), (epoch, satellite)
     for one in sky:
         channel, other = alone[one.satellite], racked[one.satellite]
         if one.silent_s[1] == 0.0:
@@ -314,4 +320,4 @@ def test_an_update_is_what_the_channel_concludes(signal: Signal) -> None:
     take_back(channel, state, recent, [update], symbols[0, 0].tobytes(), unaided)
     other.take(correlations)
     other.conclude(unaided)
-    assert _state(channel) == _state(other)
+    assert _alike(_state(channel), _state(other))
