@@ -1,6 +1,7 @@
 """Arcs: phases followed from tag to tag, and what becomes of one that stops fitting.
 
-An arc is a stretch of a satellite's phase without a possible slip.
+An arc is a stretch of a satellite's phase without a possible slip. Over it code less phase is a
+constant, but for the code's noise and reflections.
 """
 
 from __future__ import annotations
@@ -17,6 +18,11 @@ _LAST: Final = 3  # tags that judge
 _SETTLED_CYCLES: Final = 0.1  # by which they differ once a loop has slipped
 _LEFT_CYCLES: Final = 0.12  # of a slip beyond a multiple of half a cycle …
 _CERTAIN: Final = 4.0  # … and σ that fit between that and a quarter of a cycle
+_NARROW_S: Final = 5.0  # after which a code loop is narrow
+_KNOWN_S: Final = 3.0  # of an arc before its code less phase is known …
+_AVERAGED_S: Final = 60.0  # … and of the narrow loop's codes that count at most
+_CODE_M: Final = 0.2  # 1σ of a narrow loop's code at 45 dB-Hz
+_FAR: Final = (0.5, 4.0)  # m, and σ of it, by which a code is no longer that of its phase
 
 Name = tuple[str, int]
 """Satellite and number of the arc."""
@@ -34,13 +40,47 @@ class Slip(NamedTuple):
 
 
 @dataclass(slots=True)
+class CodeLessPhase:
+    """Their mean over an arc, m: a code loop says the more the longer it has narrowed."""
+
+    mean_m: float = 0.0
+    weight_s: float = 0.0  # of tags
+
+    def take(self, one_m: float, age_s: float, seconds: float) -> None:
+        """Take in that of a tag, so long after the arc began and after the tag before."""
+        weight_s = min(age_s / _NARROW_S, 1.0) ** 2 * seconds
+        if weight_s > 0.0:
+            self.weight_s = min(self.weight_s + weight_s, _AVERAGED_S)
+            self.mean_m += weight_s / self.weight_s * (one_m - self.mean_m)
+
+    @property
+    def known(self) -> bool:
+        """Whether it says more than a code loop that has just begun."""
+        return self.weight_s > _KNOWN_S**3 / (3.0 * _NARROW_S**2)
+
+    def off_m(self, one_m: float, cn0_dbhz: float) -> float:
+        """By how much a code is too long for its phase; 0 within what its noise explains."""
+        least_m, sigmas = _FAR
+        limit_m = math.hypot(least_m, sigmas * _CODE_M * 10.0 ** ((45.0 - cn0_dbhz) / 20.0))
+        off_m = one_m - self.mean_m
+        return off_m if self.known and abs(off_m) > limit_m else 0.0
+
+
+@dataclass(slots=True)
 class Arc:
     """A phase being followed, in metres once its clock and its unit are taken off."""
 
     name: Name
     wavelength_m: float
     heard_s: float  # last tag at which there was one
+    began_s: float
+    believed_s: float  # last tag at which it agreed with all others
     range_m: float = 0.0  # predicted since it began
+    upright: bool = False  # its half cycle is known
+    back: bool = False  # at its last tag it was, behind a gap
+    past: bool = False  # it has ended, and is kept for the satellite's next one …
+    misfits: int = 0  # … to which it did not fit at so many tags
+    code: CodeLessPhase = field(default_factory=CodeLessPhase)
     doubted_s: float = math.nan  # since when it does not agree …
     off_cycles: list[float] = field(default_factory=list)  # … and by how much, tag by tag
 

@@ -11,7 +11,7 @@ Signs: phases grow with range; a slip of n cycles is n too much in the phase.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -23,12 +23,14 @@ from deepgnss.deep.aiding import Skyline
 from deepgnss.deep.arcs import REST, Arc, Name, Slip, verdict
 from deepgnss.deep.navigation import Leg
 from deepgnss.deep.phase_filter import Chosen, PhaseFilter, common_jump, sound
+from deepgnss.deep.rejoining import Return, rejoin
 from deepgnss.ins.error_model import VELOCITY
 from deepgnss.ins.increments import SAME_INSTANT_S
 from deepgnss.receiver.modes import Coast
 from deepgnss.theory.tracking_error import pll_thermal_sigma_cycles
 
 _LIMIT: Final = 4.0  # σ from which a phase is left out
+_OUTSIDE: Final = 5.0  # σ from which it is not told either
 _JUMP: Final = 5.0  # σ from which what most have in common is a jump
 _MANY: Final = 5  # phases whose agreement says more than the navigation
 _WALK_MPRTS: Final = 3e-4  # of an arc's own error: satellite clocks
@@ -41,6 +43,8 @@ _WORSE: Final = 4.0  # variance of velocity against the navigation's own: that k
 _DRIFT_SIGMA_MPS: Final = 1.0  # at the start, where Doppler tells the drift …
 _UNKNOWN_DRIFT_MPS: Final = 1e3  # … and where not
 _PHASES_ENOUGH: Final = 4  # with fewer, the drift by Doppler counts
+_GAP: Final = 1.5  # intervals of tags without a phase: its code loop has begun anew
+_MISFITS: Final = 10  # tags at which new arcs do not fit the one before: it is given up
 
 _LOST: Final = Coast(0.0, math.inf)
 
@@ -69,6 +73,7 @@ class Tag(NamedTuple):
     leg: Leg
     P: FloatArray  # of the vehicle's errors by the navigation, after the tag's correction
     C_ne: FloatArray  # (3, 3)
+    refused: Container[str] = ()  # satellites whose range is known to be wrong
 
 
 class Bridged(NamedTuple):
@@ -77,6 +82,10 @@ class Bridged(NamedTuple):
     moves: Mapping[str, Coast] = {}
     slips: tuple[Slip, ...] = ()
     clock_jump_m: float | None = None
+    halves: Mapping[str, int] = {}  # cycles too much in new arcs whose polarity is known by it, × 2
+    joined_m: Mapping[str, float] = {}  # by which codes are too long where a phase goes on …
+    bent_m: Mapping[str, float] = {}  # … and where they follow a reflection
+    outside: frozenset[str] = frozenset()  # satellites whose phases all others contradict
 
 
 class _Seen(NamedTuple):
@@ -85,6 +94,10 @@ class _Seen(NamedTuple):
     phase_m: float
     sigma_m: float
     wavelength_m: float
+    code_m: float = 0.0  # less phase
+    cn0_dbhz: float = 0.0
+    upright: bool = True  # its half cycle is known
+    sound: bool = True  # its range is not known to be wrong
 
 
 class _Sights(NamedTuple):
@@ -158,7 +171,7 @@ class Bridge:
             self._carry(self._filter, tag, skyline)
         self._now_s, self._model_m = leg.end_s, SPEED_OF_LIGHT_MPS * tag.model_s
         known, seen = self._filter, self._seen(tag)
-        jump_m, slips = self._believe(known, tag, seen, skyline)
+        jump_m, slips, outside = self._believe(known, tag, seen, skyline)
         for _, z_mps, H, R, *_ in leg.rolled:
             known.take_velocities(z_mps, H, np.diagonal(R))
         self._begin(known, tag, seen, skyline)
@@ -167,7 +180,10 @@ class Bridge:
             known.restart_errors(tag.P)
         sights = self._sights(skyline, leg.end_s, tag.C_ne)
         known.rest_way(sights.toward_n)
-        return Bridged(self._moves(known, tag.coasting, sights), slips, jump_m)
+        moves = self._moves(known, tag.coasting, sights)
+        bent_m = self._bent_codes(seen)
+        halves, joined_m = self._rejoin(known, seen, sights, bent_m)
+        return Bridged(moves, slips, jump_m, halves, joined_m, bent_m, outside)
 
     # --- from the tag before to this one -------------------------------------------------------
 
@@ -240,14 +256,18 @@ class Bridge:
                     one.carrier_cycles * wavelength_m + self._model_m,
                     self._loop.sigma_cycles(one.cn0_dbhz, seconds) * wavelength_m,
                     wavelength_m,
+                    one.pseudorange_m - one.carrier_cycles * wavelength_m,
+                    one.cn0_dbhz,
+                    not one.half_cycle,
+                    one.satellite not in tag.refused,
                 )
         if tag.leg.at_rest:
-            found |= dict.fromkeys(REST, _Seen(0.0, _REST_M, 1.0))
+            found |= dict.fromkeys(REST, _Seen(0.0, _REST_M, 1.0, sound=False))
         return found
 
     def _believe(
         self, known: PhaseFilter, tag: Tag, seen: Mapping[Name, _Seen], skyline: Skyline
-    ) -> tuple[float | None, tuple[Slip, ...]]:
+    ) -> tuple[float | None, tuple[Slip, ...], frozenset[str]]:
         """Take in the phases that agree with the prediction and with each other; judge the rest."""
         now_s = tag.leg.end_s
         rows = [k for k, arc in enumerate(self._arcs) if arc.name in seen]
@@ -260,13 +280,20 @@ class Bridge:
         known.update(H[kept], y_m[kept], variance_m2[kept])
         if np.sum(sights.clocked[rows] * kept) < _PHASES_ENOUGH and math.isfinite(tag.drift[0]):
             known.take_drift(*(SPEED_OF_LIGHT_MPS * value for value in tag.drift))
+        seconds = now_s - tag.leg.begin_s
         for arc, agrees in zip(arcs, kept, strict=True):
             arc.heard_s = now_s
             if agrees:
+                unseen_s = now_s - arc.believed_s
+                arc.back = arc.code.known and unseen_s > _GAP * seconds
+                arc.believed_s = now_s
                 arc.trust()
+                self._average(arc, seen[arc.name], seconds)
         if kept.all():
-            return jump_m, ()
+            return jump_m, (), frozenset()
         off_m, covariance = known.innovation(H, y_m, variance_m2)
+        far = ~kept & (np.abs(off_m) > _OUTSIDE * np.sqrt(np.diagonal(covariance)))
+        outside = frozenset(arc.name[0] for arc, one in zip(arcs, far, strict=True) if one)
         slips = []
         for k, arc in enumerate(arcs):
             if kept[k]:
@@ -280,7 +307,7 @@ class Bridge:
                 known.open_arc(rows[k], float(off_m[k]) ** 2)
             if slip is not None:
                 slips.append(slip)
-        return jump_m, tuple(slips)
+        return jump_m, tuple(slips), outside
 
     def _agreeing(
         self, known: PhaseFilter, tag: Tag, H: FloatArray, y_m: FloatArray, variance_m2: FloatArray
@@ -315,17 +342,14 @@ class Bridge:
         for arc in self._arcs:
             if arc.name in told:
                 arc.heard_s = now_s
+        ended = [
+            arc.name not in told
+            and (arc.name in REST or arc.name[0] in others or now_s - arc.heard_s >= _STALE_S)
+            for arc in self._arcs
+        ]
+        self._lay_by([arc for arc, over in zip(self._arcs, ended, strict=True) if over])
         self._keep(
-            known,
-            [
-                arc.name in told
-                or (
-                    arc.name not in REST
-                    and arc.name[0] not in others
-                    and now_s - arc.heard_s < _STALE_S
-                )
-                for arc in self._arcs
-            ],
+            known, [arc.past or not over for arc, over in zip(self._arcs, ended, strict=True)]
         )
         there = {arc.name for arc in self._arcs}
         fresh = [
@@ -334,7 +358,10 @@ class Bridge:
         if not fresh:
             return
         first = len(self._arcs)
-        self._arcs += [Arc(name, seen[name].wavelength_m, now_s) for name in fresh]
+        self._arcs += [
+            Arc(name, seen[name].wavelength_m, now_s, now_s, now_s, upright=seen[name].upright)
+            for name in fresh
+        ]
         sights = self._sights(skyline, now_s, tag.C_ne)
         known.begin(
             np.array([seen[name].phase_m for name in fresh]),
@@ -343,6 +370,81 @@ class Bridge:
             sights.toward_n[first:],
             sights.clocked[first:],
         )
+
+    # --- one arc after the other ---------------------------------------------------------------
+
+    @staticmethod
+    def _average(arc: Arc, seen: _Seen, seconds: float) -> None:
+        """Take in what a phase that is believed says of its arc."""
+        arc.upright |= seen.upright
+        if seen.sound and not arc.back and not arc.code.off_m(seen.code_m, seen.cn0_dbhz):
+            arc.code.take(seen.code_m, arc.believed_s - arc.began_s, seconds)
+
+    def _lay_by(self, ended: Iterable[Arc]) -> None:
+        """Keep arcs that have ended for the satellite's next one: the last that is good for it."""
+        for arc in ended:
+            if not arc.past and arc.upright and arc.code.known:
+                for other in self._arcs:
+                    other.past &= other.name[0] != arc.name[0]
+                arc.past = True
+            elif arc.misfits >= _MISFITS:
+                arc.past = False
+
+    def _rejoin(
+        self,
+        known: PhaseFilter,
+        seen: Mapping[Name, _Seen],
+        sights: _Sights,
+        bent: Container[str],
+    ) -> tuple[dict[str, int], dict[str, float]]:
+        """Go on with arcs of satellites that are back: half cycles, and codes that are too long."""
+        before = {arc.name[0]: k for k, arc in enumerate(self._arcs) if arc.past}
+        back = [
+            Return(
+                arc,
+                self._arcs[k],
+                place,
+                k,
+                seen[arc.name].code_m,
+                seen[arc.name].sound and arc.name[0] not in bent,
+            )
+            for place, arc in enumerate(self._arcs)
+            if not arc.past
+            and arc.believed_s == self._now_s
+            and (k := before.get(arc.name[0])) is not None
+            and (arc.upright or (seen[arc.name].sound and arc.name[0] not in bent))
+        ]
+        halves: dict[str, int] = {}
+        off_m = {
+            arc.name[0]: seen[arc.name].code_m - arc.code.mean_m
+            for arc in self._arcs
+            if arc.back and arc.believed_s == self._now_s
+        }
+        for (arc, past, place, *_), number in (joined := rejoin(known, back)):
+            satellite, step_m = arc.name[0], 0.5 * number * arc.wavelength_m
+            past.code.mean_m -= step_m
+            off_m[satellite] = seen[arc.name].code_m - past.code.mean_m
+            if not arc.upright:
+                halves[satellite] = number
+                if number % 2:  # it is told with half a cycle more from now on
+                    arc.name = satellite, arc.name[1] + 1
+                    known.raise_arc(place, 0.5 * arc.wavelength_m)
+                    past.code.mean_m -= 0.5 * arc.wavelength_m
+            arc.upright, arc.code = True, past.code
+        over = {one.back.place_before for one in joined}
+        self._keep(known, [k not in over for k in range(len(self._arcs))])
+        return halves, off_m
+
+    def _bent_codes(self, seen: Mapping[Name, _Seen]) -> dict[str, float]:
+        """Codes that have left their phase, a believed one, by more than noise: reflections."""
+        return {
+            arc.name[0]: off_m
+            for arc in self._arcs
+            if arc.name in seen
+            and arc.believed_s == self._now_s
+            and not arc.back
+            and (off_m := arc.code.off_m(seen[arc.name].code_m, seen[arc.name].cn0_dbhz))
+        }
 
     # --- open loop -----------------------------------------------------------------------------
 

@@ -67,6 +67,20 @@ class Navigated(NamedTuple):
     moves: Mapping[str, Coast] = {}  # of channels in open loop at the last tag
     P: FloatArray | None = None  # of the navigation's errors but position, by the carrier phases
     placed: Mapping[GpsTime, NavSolution] = {}  # at tags where it knew where the antenna is
+    outside: Mapping[GpsTime, frozenset[str]] = {}  # satellites whose phases all others contradict
+
+    def told(self, fix: Fix) -> Fix:
+        """A fix as it is put out: with the navigation, and without phases that are wrong."""
+        time = fix.epoch.time
+        fix = fix._replace(solution=self.placed.get(time, fix.solution))
+        if not (wrong := self.outside.get(time)):
+            return fix
+        kept = tuple(
+            replace(one, carrier_valid=False) if one.satellite in wrong else one
+            for one in fix.epoch.observations
+        )
+        epoch = replace(fix.epoch, observations=kept)
+        return fix._replace(measured=fix.measured._replace(epoch=epoch))
 
 
 class CoupledNavigation:
@@ -144,6 +158,9 @@ class CoupledNavigation:
         found_at: list[tuple[Fix, NavigationState]] = []
         events: list[Event] = []
         moves: Mapping[str, Coast] = {}
+        outside: dict[GpsTime, frozenset[str]] = {}
+        joined_m: dict[str, float] = {}
+        bent_m: Mapping[str, float] = {}
         for fix in result.fixes:
             found = self.navigation.take([fix])
             states += found
@@ -152,12 +169,19 @@ class CoupledNavigation:
             for slip in bridged.slips:
                 missing = None if slip.cycles is None else -slip.cycles
                 receiver.mend(slip.satellite, missing, slip.reason)
+            receiver.rejoin({one: 0.5 * (number % 2) for one, number in bridged.halves.items()})
+            joined_m |= bridged.joined_m
+            bent_m = bridged.bent_m
             if bridged.clock_jump_m is not None:
                 jump_ns = bridged.clock_jump_m / SPEED_OF_LIGHT_MPS * NS
                 detail = f"all phases moved together by {jump_ns:+.2f} ns"
                 events.append(Event(fix.epoch.instant.sample, "RX", "clock jump", detail))
             moves = bridged.moves
+            outside[fix.epoch.time] = bridged.outside
         receiver.coast(moves)  # of the last tag: it saw the generators as they stand
+        left_m = {one: off_m for one, off_m in bent_m.items() if one not in joined_m}
+        receiver.put_codes_right(left_m, reflected=True)
+        receiver.put_codes_right(joined_m)
         if found_at:
             receiver.let_go(self._strayed(receiver, found_at[-1][1]))
         told, innovations = self.navigation.news()
@@ -193,6 +217,7 @@ class CoupledNavigation:
             moves,
             self._bridge.errors_covariance,
             placed,
+            outside,
         )
 
     def _bridged(self, fix: Fix, state: NavigationState | None) -> Bridged:
@@ -219,6 +244,7 @@ class CoupledNavigation:
             leg,
             estimate.P[vehicle, vehicle],
             C_ne(estimate.ins.lat_rad, estimate.ins.lon_rad),
+            solution.rejected,
         )
         bridged = self._bridge.take(tag, self._aider.skyline)
         wrong_n_mps = self._bridge.velocity_error_n_mps

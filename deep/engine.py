@@ -86,13 +86,9 @@ class Engine:
         aids = coupled.before(receiver, first, end) if coupled is not None else NO_AIDS
         result = receiver.step(feeds, first, end, aids.profiles, aids.place, aids.screen)
         self.navigated = coupled.after(receiver, result) if coupled is not None else Navigated()
-        placed = self.navigated.placed
         return replace(
             result,
-            fixes=tuple(
-                fix._replace(solution=placed.get(fix.epoch.time, fix.solution))
-                for fix in result.fixes
-            ),
+            fixes=tuple(self.navigated.told(fix) for fix in result.fixes),
             events=(*result.events, *self.navigated.events),
         )
 

@@ -19,6 +19,7 @@ Errors are estimate − truth; clock and phases grow with range.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from statistics import median
 from typing import Final
 
@@ -38,6 +39,7 @@ _WAY: Final = slice(0, 3)
 _FROM: Final = POSITION.stop  # what of the inertial errors is carried here
 
 Chosen = NDArray[np.bool_]
+Rows = Sequence[int]
 
 
 class PhaseFilter:
@@ -242,6 +244,22 @@ class PhaseFilter:
         """Forget arcs, (arcs,) false."""
         all_kept = np.concatenate([np.ones(self._base, dtype=np.bool_), np.repeat(kept, 2)])
         self.mean, self.P = self.mean[all_kept], self.P[np.ix_(all_kept, all_kept)]
+
+    def apart(self, now: Rows, before: Rows) -> tuple[FloatArray, FloatArray]:
+        """Arcs' own errors less those of others (k,), by their numbers; covariance (k, k)."""
+        D = np.eye(self.arcs)[now] - np.eye(self.arcs)[before]
+        return D @ self.mean[self._own], D @ self.P[self._own, self._own] @ D.T
+
+    def join(self, now: int, before: int, apart_m: float, variance_m2: float) -> None:
+        """An arc's own error is so much more than another's."""
+        H = np.zeros((1, self.mean.size))
+        own = H[0, self._own]
+        own[now], own[before] = 1.0, -1.0
+        self.update(H, np.array([apart_m]), np.array([variance_m2]))
+
+    def raise_arc(self, arc: int, by_m: float) -> None:
+        """An arc's phase is told with so much more from now on."""
+        self.mean[self._own][arc] += by_m
 
     def update(self, H: FloatArray, y_m: FloatArray, variance_m2: FloatArray) -> None:
         """Take phases in."""

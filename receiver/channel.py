@@ -15,6 +15,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.records import (
     ChannelReport,
     ComplexArray,
@@ -530,8 +531,9 @@ class Channel:
             self._hearing.restart_sync()
         here = self.command.sample
         if self.mode is Mode.HOLD or (self.mode is Mode.WEAK and not self.code_loop.settled(here)):
-            windows = mode is Mode.WEAK
-            self.code_loop.restart(here, self.code_loop.settling_s(windows=windows))
+            # A code that was carried on with its phase counts at once.
+            settling_s = self.code_loop.settling_s(windows=mode is Mode.WEAK)
+            self.code_loop.restart(here, 0.0 if keeps else settling_s)
         # A long average is not to begin with what was stronger, or with nothing.
         if mode is Mode.WEAK or (self.mode is Mode.HOLD and self.aided):
             self.locks = self.locks._replace(seconds=0.0)
@@ -653,6 +655,22 @@ class Channel:
         self.code_loop.widen(self.command.sample)
         self.nco.code_offset_hz = 0.0
         self._doubted_at = self.command.sample
+
+    def put_code_right(self, off_m: float, *, reflected: bool) -> None:
+        """The range is known to be so much too long, and its code loop need not find it anew.
+
+        reflected: because it follows a reflection, so that its phase is in doubt.
+        """
+        if reflected:
+            self._doubted_at = self.command.sample
+        self.nco.shift_code(off_m * self.signal.id.chip_rate_hz / SPEED_OF_LIGHT_MPS)
+        self.code_loop.settle()
+
+    def rejoin(self, half_cycle: float) -> None:
+        """The arc before the present one tells its polarity (0 or ½), until symbols do."""
+        if self.phase_valid and self.half_cycle is None:
+            self.set_polarity(half_cycle)
+            self.unproven = True
 
     @property
     def _doubted(self) -> bool:

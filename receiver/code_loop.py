@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from deepgnss.core.loops import settling_time_s
 from deepgnss.receiver.modes import TrackingSettings
 from deepgnss.receiver.trackers import DelayLock, scheduled_bandwidth_hz
@@ -44,6 +46,11 @@ class CodeLoop:
         self._settled_s -= self._seconds_to(sample)
         self._since = sample
         self.tracker = self._delay_lock(self._schedule[0])
+
+    def settle(self) -> None:
+        """Be at the schedule's end: the code is known as well as by a loop that came so far."""
+        self._settled_s = -math.inf
+        self.tracker = self._delay_lock(self._schedule[-1])
 
     def settling_s(self, *, windows: bool) -> float:
         """Time the loop takes that starts some way off, on intervals or on windows."""

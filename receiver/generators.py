@@ -236,6 +236,14 @@ class Generators:
         ]
         return chips
 
+    def shift_code(self, chips: float) -> None:
+        """Move the code, from the present command on, and keep no rate by which it went astray."""
+        self.code_offset_hz = 0.0
+        self.command = turned(self.command, 0.0, chips)
+        self.history[-1] = self.history[-1]._replace(
+            command=turned(self.history[-1].command, 0.0, chips)
+        )
+
     # --- history -------------------------------------------------------------------------------
 
     def forget_old(self) -> None:

@@ -273,7 +273,7 @@ def dark(state: LockState, period_s: float) -> bool:
     """Whether the last interval has next to nothing of a strong signal.
 
     At the least strength four sigma of the interval's noise lie between half the amplitude and
-    all of it.
+    all of it. A stronger signal may fall to that strength, and its phase is still one.
     """
     last = state.recent[-1] if state.recent else 0.0
     return next_to_nothing(last, state.signal, state.noise, period_s)
@@ -282,7 +282,8 @@ def dark(state: LockState, period_s: float) -> bool:
 @compilable
 def next_to_nothing(last: float, signal: float, noise: float, period_s: float) -> bool:
     """The same by the interval's power and the means of signal and noise."""
-    return signal > _PLAIN_HZ * noise * period_s and last < _DARK * signal
+    plain = _PLAIN_HZ * noise * period_s
+    return signal > plain and last < _DARK * plain
 
 
 def faint_cn0_dbhz(state: LockState, period_s: float) -> float:

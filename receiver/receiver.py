@@ -217,6 +217,20 @@ class Receiver:
         """
         self._act([satellite], lambda channel: channel.mend(cycles, reason, told=self._told))
 
+    def rejoin(self, half_cycles: Mapping[str, float]) -> None:
+        """Tell channels that are back their polarity (0 or ½), by satellite, until symbols do."""
+        self._act(half_cycles, lambda channel: channel.rejoin(half_cycles[channel.satellite]))
+
+    def put_codes_right(self, off_m: Mapping[str, float], *, reflected: bool = False) -> None:
+        """Take off codes, by satellite, what they are known to be too long, after a step.
+
+        reflected: they follow reflections.
+        """
+        self._act(
+            off_m,
+            lambda channel: channel.put_code_right(off_m[channel.satellite], reflected=reflected),
+        )
+
     def _act(self, satellites: Container[str], act: Callable[[Channel], None]) -> None:
         """Do something to channels after a step, and keep the events it makes for the next one."""
         for bank in self.banks:

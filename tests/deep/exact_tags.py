@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from deepgnss.core.attitude import skew
+from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne
 from deepgnss.core.records import FloatArray, ImuGrade, NavData, Observation, Oscillator
 from deepgnss.core.time import GpsTime
@@ -64,6 +65,7 @@ class Told:
     bridged: Bridged
     drift_sps: float
     phase_cycles: dict[str, float]  # true ones, with every slip put in
+    off_cycles: dict[str, float]  # of phases behind a gap, as they are told
     rate_sigma_mps: FloatArray  # of the emitters, in their order
 
 
@@ -162,8 +164,16 @@ class Tags:
         slips: Sequence[tuple[str, float, float, float]] = (),
         clock_jump: tuple[float, float] = (np.inf, 0.0),
         corrections_n_mps: float = 0.0,
+        lost: Blocked = nobody,
+        upright: Sequence[str] = (),
+        reflections_cycles: Mapping[str, float] = {},
+        code_off_m: Callable[[str, float], float] = lambda _satellite, _time_s: 0.0,
     ) -> list[Told]:
-        """Slips: satellite, cycles, when, how long it takes. A jump: when and s."""
+        """Slips: satellite, cycles, when, how long it takes. A jump: when and s.
+
+        lost: nothing is known of a satellite, and behind it a new arc begins some half cycles off
+        (upright: whole ones, and it is known), or as a reflection by so many cycles more.
+        """
         random = np.random.default_rng(self.seed)
         errors = _Errors(self, random)
         told = []
@@ -178,21 +188,35 @@ class Tags:
         repaired = dict.fromkeys(phases, 0.0)
         arcs = dict.fromkeys(phases, 1)
         coasted = dict.fromkeys(phases, 0.0)
+        away, off, open_ = set[str](), dict.fromkeys(phases, 0.0), set[str]()
         for k, t in enumerate(self.times_s):
             if k % SKYLINE_TAGS == 0:
                 skyline = self.skyline(k)
             leg, P = errors.leg(k, corrections_n_mps * random.standard_normal(3))
             seen, coasting = [], []
             for e in self.scenario.emitters:
+                if lost(e.satellite, t):
+                    away.add(e.satellite)
+                    continue
+                if e.satellite in away:
+                    away.remove(e.satellite)
+                    arcs[e.satellite] += 1
+                    half = e.satellite not in upright
+                    off[e.satellite] = (0.5 if half else 1.0) * random.integers(-40, 41)
+                    off[e.satellite] += reflections_cycles.get(e.satellite, 0.0)
+                    open_ |= {e.satellite} if half else set()
                 value = phases[e.satellite][k] + repaired[e.satellite]
+                wavelength_m = SPEED_OF_LIGHT_MPS / e.signal.id.carrier_hz
+                code_m = value * wavelength_m + 7.0 + code_off_m(e.satellite, t)
+                value += off[e.satellite]
                 if blocked(e.satellite, t):
                     # Generators on their own: off by what nobody has told them.
                     value += 0.3 + coasted[e.satellite]
                 else:
                     value += noise * random.standard_normal()
                 one = Observation(
-                    e.satellite, e.signal.id.name, 2.2e7, value, 0.0, cn0, 1.0,
-                    False, False, True, START, arcs[e.satellite],
+                    e.satellite, e.signal.id.name, code_m, value, 0.0, cn0, 1.0,
+                    False, e.satellite in open_, True, START, arcs[e.satellite],
                 )  # fmt: skip
                 (coasting if blocked(e.satellite, t) else seen).append(one)
             C = C_ne(0.91, 0.18)
@@ -204,7 +228,11 @@ class Tags:
             sigma_mps = bridge.rate_sigma_mps(list(phases), skyline, C)
             assert sigma_mps is not None
             drift = np.nan if drift is None else drift
-            told.append(Told(float(t), bridged, drift, truth, sigma_mps))
+            for satellite, number in bridged.halves.items():
+                open_.remove(satellite)
+                off[satellite] += 0.5 * (number % 2)
+                arcs[satellite] += number % 2
+            told.append(Told(float(t), bridged, drift, truth, off.copy(), sigma_mps))
             for satellite, move in bridged.moves.items():
                 coasted[satellite] += move.cycles
             for slip in bridged.slips:

@@ -87,6 +87,7 @@ def test_what_a_fix_corrects_does_not_shake_frequency_tracking() -> None:
 
 
 REFLECTED_CHIPS = -0.045  # 13 m behind
+REFLECTED_M = -REFLECTED_CHIPS * SPEED_OF_LIGHT_MPS / 1.023e6
 
 
 @pytest.mark.parametrize("doubted", [False, True])
@@ -111,6 +112,22 @@ def test_a_code_loop_that_is_told_of_a_reflection_leaves_it_at_once(doubted: boo
         assert channel.report("").code_bandwidth_hz < 0.5
     else:
         assert off_m[5] < -8.0
+
+
+def test_a_code_that_is_put_right_stays_there_and_narrow() -> None:
+    """Its loop was just told of a reflection, and is as wide as it gets."""
+    model = Model(lambda _t: 65.0, rate_hzps=8.0)
+    channel = locked(model, 3)
+    nco = channel.nco
+    nco.command = turned(nco.command, 0.0, REFLECTED_CHIPS)
+    channel.doubt_code()
+    channel.put_code_right(REFLECTED_M, reflected=False)
+    for k in range(10):
+        go_on(channel, START_S + 0.1 * (k + 1), told(model))
+        interval = channel.history[-1]
+        assert interval.code_valid
+        assert abs(code_error_m(model, interval)) < 0.1
+    assert channel.report("").code_bandwidth_hz == pytest.approx(0.1)
 
 
 def code_error_m(model: Model, interval: Interval) -> float:

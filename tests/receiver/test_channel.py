@@ -332,3 +332,16 @@ def test_polarity_is_told_once() -> None:
     assert (channel.half_cycle, channel.slips) == (0.5, 1)
     channel.set_polarity(0.0)
     assert (channel.half_cycle, channel.slips) == (0.5, 1)
+
+
+def test_a_polarity_by_the_arc_before_holds_until_symbols_tell() -> None:
+    channel = start_channel(shared_sky(), _satellite(44.0), SETTINGS)
+    channel.rejoin(0.5)
+    assert channel.half_cycle is None  # no phase to speak of
+    channel.phase_valid = True
+    channel.rejoin(0.5)
+    channel.rejoin(0.0)
+    assert (channel.half_cycle, channel.slips) == (0.5, 1)
+    channel.set_polarity(0.0)
+    assert (channel.half_cycle, channel.slips) == (0.0, 2)
+    assert channel.events[-1].what == "cycle slip"

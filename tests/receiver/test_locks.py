@@ -10,6 +10,7 @@ from deepgnss.receiver.locks import (
     NO_LOCK,
     LockState,
     cn0_dbhz,
+    dark,
     false_lock_side,
     fast_cn0_dbhz,
     half_shifts,
@@ -142,6 +143,16 @@ def test_a_blockage_is_seen_in_a_tenth_of_a_second_and_its_end_too() -> None:
     assert fast_cn0_dbhz(state, PERIOD_S) < 24.0
     state = _intervals(45.0, 2, 8, state=state)
     assert fast_cn0_dbhz(state, PERIOD_S) > 34.0
+
+
+@pytest.mark.parametrize(("fallen_dbhz", "share"), [(0.0, 1.0), (20.0, 1.0), (34.0, 0.0)])
+def test_a_strong_signal_that_falls_is_dark_once_nothing_is_left(
+    fallen_dbhz: float, share: float
+) -> None:
+    """At 34 dB-Hz a phase is known to a hundredth of a cycle, whatever it was before."""
+    strong = _intervals(47.0, 100)
+    told = [dark(_intervals(fallen_dbhz, 1, k, state=strong), PERIOD_S) for k in range(200)]
+    assert np.mean(told) == pytest.approx(share, abs=0.02)
 
 
 def test_nothing_seen_nothing_said() -> None:

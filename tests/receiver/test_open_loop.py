@@ -184,13 +184,26 @@ def test_a_slip_of_unknown_size_begins_a_new_arc_of_unknown_polarity() -> None:
     assert 20 * len(channel.symbols) == channel.periods - channel.symbols_first
 
 
-def test_half_cycles_of_a_reflection_s_phase_are_not_put_back() -> None:
+def doubt_code(channel: Channel) -> None:
+    """Its range was refused."""
+    channel.doubt_code()
+
+
+def put_code_right(channel: Channel) -> None:
+    """Its code had left its phase."""
+    channel.put_code_right(0.0, reflected=True)
+
+
+@pytest.mark.parametrize("told", [doubt_code, put_code_right])
+def test_half_cycles_of_a_reflection_s_phase_are_not_put_back(
+    told: Callable[[Channel], None],
+) -> None:
     """How far it is from the satellite's own depends on a wall."""
     model = Model(lambda _t: STRONG)
     channel = start(model, SETTINGS)
     run_aided(channel, model, 3.0)
     channel.set_polarity(0.0)
-    channel.doubt_code()  # its range was refused
+    told(channel)
     run_aided(channel, model, 4.5)
     before, slips = channel.command, channel.slips
     channel.mend(0.5, "test", told=True)
