@@ -175,7 +175,8 @@ def _by_epoch(innovations: Sequence[Innovation]) -> list[tuple[GpsTime, float]]:
 
 _AXES = (("forward", "backward"), ("right", "left"), ("down", "up"))
 _ALONG = 0.7  # share of the direction of travel along an axis that is not the forward one
-_BEYOND = 4.0  # times the grade's own σ
+_BEYOND = 4.0  # times the grade's own σ …
+_SETTLED_S = 45.0  # … after so long a run
 
 
 def travel_finding(forward_b: Sequence[FloatArray], mounting_yaw_rad: float) -> str:
@@ -194,7 +195,12 @@ def travel_finding(forward_b: Sequence[FloatArray], mounting_yaw_rad: float) -> 
 def bias_finding(
     gyro_bias_radps: FloatArray, accel_bias_mps2: FloatArray, grade: ImuGrade, run_s: float
 ) -> str:
-    """Biases far beyond what the grade allows for after a run; empty: within it."""
+    """Biases far beyond what the grade allows for after a run; empty: within it, or too early.
+
+    What an alignment got wrong passes for biases of a good unit at first.
+    """
+    if run_s < _SETTLED_S:
+        return ""
     gyro_radps = math.hypot(
         grade.gyro_bias_radps,
         _walked(grade.gyro_drift_radps2_rthz, grade.gyro_drift_time_s, run_s),
