@@ -10,7 +10,7 @@ from deepgnss.receiver.baseband import RunningSumBuffer, running_sums
 ReadSamples = Callable[[int, int], SampleBlock]
 """Samples [first, first + count) of a stream."""
 
-_CACHED_BYTES = 1_400_000  # of running sums in a block: all channels read them from the cache
+_CACHED_BYTES = 2_800_000  # of running sums in a block: all channels read them from the cache
 _LONGEST_BLOCK_S = 0.02
 _HISTORY_S = 0.0015  # kept of the block before: a code period that began there, and margins
 

@@ -259,10 +259,13 @@ class Receiver:
     def _track(
         self, feeds: Mapping[str, SumFeed], end: int, aiding: Mapping[str, AidingSource]
     ) -> None:
-        """Run all channels to the end: streams at the same time, their workers share channels."""
+        """Run all channels to the end: streams at the same time, their workers share channels.
+
+        The one that takes longest begins.
+        """
         for channel in self.channels:
             channel.begin_epoch()
-        names, executor = list(feeds), self._executor
+        names, executor = sorted(feeds, key=self._load, reverse=True), self._executor
         workers = max(1, self._workers // len(names)) if executor is not None else 1
 
         def through(name: str) -> None:
@@ -280,6 +283,11 @@ class Receiver:
                 self.accounts.advance(channel.satellite, "pulled in")
             if channel.edge is not None:
                 self.accounts.advance(channel.satellite, "bit sync")
+
+    def _load(self, name: str) -> float:
+        """What the channels of a signal's name cost, about: chips a second."""
+        banks = [bank for bank in self.banks if bank.signal.id.name == name]
+        return sum(len(bank.channels) * bank.signal.id.chip_rate_hz for bank in banks)
 
     def _run_stream(
         self,
