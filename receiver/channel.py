@@ -120,9 +120,8 @@ class Channel:
         self._settles_s = _PULLED_IN / self.carriers.settled.bandwidth_hz
         self.nco = Generators(signal, sample_rate_hz, longest, sample, code_chips, doppler_hz)
         sample_chips = signal.id.chip_rate_hz / sample_rate_hz
-        self.margin = 4 + int(
-            2.0 * settings.spacing_chips / sample_chips
-        )  # samples its taps reach beyond a period
+        # Samples that its taps reach beyond a code period.
+        self.margin = 4 + int(2.0 * settings.spacing_chips / sample_chips)
         self._coded = bool(signal.secondary_code)
         self.stream = SymbolStream(signal, longest)
         self._hearing = Hearing(signal, self.carriers.remembered_s)

@@ -42,6 +42,24 @@ class Measured(NamedTuple):
         }
         return np.array([name not in rejected for name in self.satellites], dtype=bool), rejected
 
+    def delays(
+        self,
+        parameters: PvtParameters,
+        r_e_m: FloatArray,
+        azimuth_rad: FloatArray,
+        elevation_rad: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Delays by the atmosphere and their variances (`weights.delays`), m and m²."""
+        return delays(
+            self.nav,
+            parameters,
+            self.epoch.time,
+            r_e_m,
+            azimuth_rad,
+            elevation_rad,
+            self.carriers_hz,
+        )
+
 
 def measure(epoch: Epoch, nav: NavData) -> Measured:
     """Observations with their satellites' states."""
@@ -125,15 +143,7 @@ def ranges_from(
     states = measured.states
     sight = orbits.line_of_sight(r_e_m, np.zeros(3), states)
     azimuth, elevation = orbits.directions(r_e_m, sight)
-    delays_m, variance_m2 = delays(
-        measured.nav,
-        parameters,
-        measured.epoch.time,
-        r_e_m,
-        azimuth,
-        elevation,
-        measured.carriers_hz,
-    )
+    delays_m, variance_m2 = measured.delays(parameters, r_e_m, azimuth, elevation)
     errors, cn0_dbhz = parameters.errors, measured.cn0_dbhz
     still = sight.range_rate_mps
     along = np.einsum("ki,ki->k", sight.unit_e, states.v_e_mps)

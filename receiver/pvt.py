@@ -36,7 +36,6 @@ from deepgnss.receiver.raim import GROSS_M, check_residuals, gross_errors
 from deepgnss.receiver.weights import (
     ErrorModel,
     PvtParameters,
-    delays,
     range_sigma,
     rate_sigma,
 )
@@ -195,15 +194,7 @@ def _adjust(
             azimuth, elevation = orbits.directions(r_e_m, sight)
             used = active & (elevation >= parameters.elevation_mask_rad)
             low = _below_mask(parameters, measured, active, elevation)
-            delays_m, variance_m2 = delays(
-                measured.nav,
-                parameters,
-                measured.epoch.time,
-                r_e_m,
-                azimuth,
-                elevation,
-                measured.carriers_hz,
-            )
+            delays_m, variance_m2 = measured.delays(parameters, r_e_m, azimuth, elevation)
             sigma_m = range_sigma(
                 parameters.errors, measured.ephemerides, elevation, measured.cn0_dbhz, variance_m2
             )

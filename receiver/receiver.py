@@ -286,8 +286,12 @@ class Receiver:
 
     def _load(self, name: str) -> float:
         """What the channels of a signal's name cost, about: chips a second."""
-        banks = [bank for bank in self.banks if bank.signal.id.name == name]
+        banks = self._banks_of(name)
         return sum(len(bank.channels) * bank.signal.id.chip_rate_hz for bank in banks)
+
+    def _banks_of(self, name: str) -> list[Bank]:
+        """Banks of a signal's name, which have a stream in common."""
+        return [bank for bank in self.banks if bank.signal.id.name == name]
 
     def _run_stream(
         self,
@@ -298,7 +302,7 @@ class Receiver:
         workers: int,
     ) -> None:
         """Run the channels of a signal's name, block by block: its sums are still in the cache."""
-        banks = [bank for bank in self.banks if bank.signal.id.name == name]
+        banks = self._banks_of(name)
         channels = [channel for bank in banks for channel in bank.tracked()]
         executor = self._executor
         end = self.sample_in(banks[0].rate_hz, end)
