@@ -29,6 +29,7 @@ _TABLE_BITS = 10
 _SAMPLES_PER_CHIP = 96.0  # finer streams are thinned: entries of the sum are left out
 _SHARED_HZ = 1.0  # by which the carrier may be off where periods share the phasors of their runs
 _SHARED_PERIODS = 20.0
+NOTHING_SHARED = -1
 
 
 @kernel
@@ -256,25 +257,24 @@ def correlate_periods(
     signs: FloatArray,
     taps_chips: FloatArray,
     skip: int,
+    shared: int,
+    steps: FloatArray,
     out: ComplexArray,
-) -> None:
+) -> int:
     """Correlate out.shape[0] code periods under one command, after `skip` that follow it.
 
     The phasors of one code period serve its neighbours as long as the carrier moves by less than
-    1 Hz (0.0005 cycle at a period's ends). `first` is the sample of packed[0]. Sums stand between
-    samples, so that sample n fills [n − ½, n + ½): chip edges are shifted by half a sample to look
-    them up.
+    1 Hz (0.0005 cycle at a period's ends). Returned is whose are left in steps (4, edges or more),
+    to be given as `shared` when the command goes on (−1: nothing is left). `first` is the sample
+    of packed[0]. Sums stand between samples, so that sample n fills [n − ½, n + ½): chip edges are
+    shifted by half a sample to look them up.
     """
     length = edges[edges.size - 1]
     margin = 4 + int(np.max(np.abs(taps_chips)) * sample_rate_hz / command.code_hz)
-    real = np.empty(signs.size)
-    imag = np.empty(signs.size)
-    steps_real = np.empty(edges.size)
-    steps_imag = np.empty(edges.size)
+    steps_real, steps_imag, real, imag = steps[0], steps[1], steps[2], steps[3]
     # Counted from the command on, so that it does not matter where blocks of samples end.
     moved_hz = abs(command.carrier_hzps) * length / command.code_hz
     sharing = int(max(1.0, min(2.0 * _SHARED_HZ / max(moved_hz, 1e-9), _SHARED_PERIODS)))
-    shared = -1
     for period in range(out.shape[0]):
         if (skip + period) // sharing != shared:
             shared = (skip + period) // sharing
@@ -306,6 +306,7 @@ def correlate_periods(
             taps_chips,
             out[period],
         )
+    return shared
 
 
 @kernel
@@ -518,6 +519,8 @@ def correlate(
         *runs,
         taps_chips,
         skip,
+        NOTHING_SHARED,
+        np.empty((4, runs.edges.size)),
         out,
     )
     if sums.scale != 1.0:

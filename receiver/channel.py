@@ -11,7 +11,9 @@ turn its sign (see `observables`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from itertools import repeat
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +60,6 @@ from deepgnss.receiver.modes import (
     unaided,
 )
 from deepgnss.receiver.signals import Signal, code_runs, neighbour_correlation
-from deepgnss.receiver.steady import Update
 from deepgnss.receiver.symbol_stream import SymbolStream
 from deepgnss.receiver.trackers import (
     NO_CORRECTION,
@@ -69,6 +70,7 @@ from deepgnss.receiver.trackers import (
     smoothed_hz,
     straightened,
 )
+from deepgnss.receiver.updates import Updates
 from deepgnss.receiver.windows import Windows
 
 _FOUND_AGAIN_S = 0.3  # after a gap: twice the time of a frequency loop
@@ -589,21 +591,30 @@ class Channel:
             and not self.settings.record_correlations
         )
 
-    def pass_on(self, updates: Sequence[Update], code_offset_hz: float) -> None:
+    def pass_on(self, updates: Updates, code_offset_hz: float) -> None:
         """Take updates done elsewhere: what `conclude` leaves for those who look back."""
-        alike, history = self._interval(), self.nco.history
-        last = history.pop()
-        for one in updates:
-            correction = Correction(one.phase, one.frequency, one.rate)
-            history.append(
-                last._replace(correction=correction, middle_s=one.middle_s, window=self._heard)
+        history, count = self.nco.history, len(updates.commands)
+        under_way = history.pop()
+        periods = range(under_way.periods, under_way.periods + (count + 1) * self._full, self._full)
+        history.append(
+            under_way._replace(
+                correction=updates.corrections[0],
+                middle_s=updates.middles_s[0],
+                window=self._heard,
             )
-            last = alike._replace(
-                command=one.command, periods=last.periods + self._full, cn0_dbhz=one.cn0_dbhz
-            )
-        history.append(last)
-        self.nco.resume(last.command, code_offset_hz, last.periods)
-        self.leading.now = updates[-1].aid
+        )
+        alike: Any = Interval._make(
+            map(repeat, self._interval())
+        )  # every field for all that follow
+        following = alike._replace(
+            command=updates.commands,
+            periods=periods[1:],
+            cn0_dbhz=updates.cn0s_dbhz,
+            correction=(*updates.corrections[1:], NO_CORRECTION),
+            middle_s=(*updates.middles_s[1:], 0.0),
+        )
+        history.extend(map(Interval, *following))
+        self.nco.resume(updates.commands[-1], code_offset_hz, periods[-1])
 
     def resume(self, locks: LockState, error_hz: float, symbols: bytes) -> None:
         """Go on after them: what the last one leaves, and the symbols of all."""

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 from deepgnss.core.records import FloatArray, NcoCommand
@@ -16,6 +16,7 @@ from deepgnss.receiver.modes import NO_AIDING, AidingRate, Coast, Mode
 from deepgnss.receiver.open_loop import OpenLoop, Passed
 from deepgnss.receiver.signals import Signal
 from deepgnss.receiver.trackers import NcoState
+from deepgnss.receiver.updates import Updates
 
 _FAR_OFF_HZ = 10.0  # a signal's return: a frequency loop would take its time
 
@@ -117,18 +118,36 @@ class Coasting:
         chips = self._chips(began)
         self.loop.remember(began.command.sample, began.carrier, chips, began.aid, power)
 
-    def passed(self, began: Began, offset_hz: float, power: float) -> Passed:
-        """A command whose interval is over, with the mean offset from the prediction then."""
-        return Passed(
-            began.command.sample, began.carrier, self._chips(began), began.aid, offset_hz, power
-        )
+    def go_on(self, updates: Updates, periods: int, seconds: float) -> None:
+        """Keep the command and those after it that are over, through updates done elsewhere.
 
-    def go_on(self, passed: Sequence[Passed], offset_hz: float, seconds: float) -> None:
-        """Keep commands that passed elsewhere, and the mean offset after so many seconds."""
-        if self._leading.aided:
-            self.loop.memory.go_on(passed, offset_hz, seconds)
-        else:
+        periods: code periods of each; seconds: what the mean offset is made of at last.
+        """
+        if not self._leading.aided:
             self.loop.forget()
+            return
+        nco, length = self._nco, self._nco.rates.length
+        begun = nco.periods * length
+        passed = [
+            Passed(
+                command.sample,
+                NcoState(command.carrier_cycles, command.carrier_hz, command.carrier_hzps),
+                begun + k * periods * length + command.code_chips,
+                aid,
+                offset_hz,
+                power,
+            )
+            for k, (command, aid, offset_hz, power) in enumerate(
+                zip(
+                    (nco.command, *updates.commands[:-1]),
+                    (self._leading.now, *updates.aids[:-1]),
+                    updates.offsets_hz,
+                    updates.powers,
+                    strict=True,
+                )
+            )
+        ]
+        self.loop.memory.go_on(passed, updates.offsets_hz[-1], seconds)
 
     def _chips(self, began: Began) -> float:
         return began.periods * self._nco.rates.length + began.command.code_chips

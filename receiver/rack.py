@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deepgnss.core.jit import kernel
 from deepgnss.core.records import ComplexArray, FloatArray, NcoCommand, RunningSums
-from deepgnss.receiver.baseband import correlate_periods
+from deepgnss.receiver.baseband import NOTHING_SHARED, correlate_periods
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.modes import AidingSource, Mode, unaided
 from deepgnss.receiver.signals import Signal, code_table
@@ -40,6 +40,7 @@ def correlate_all(
     due: (channels, 10): NcoCommand; row of the code in edges, signs and runs, periods to skip,
     periods to correlate.
     """
+    steps = np.empty((4, edges.shape[1]))
     for k in range(due.shape[0]):
         c = due[k]
         row, skip, periods = int(c[7]), int(c[8]), int(c[9])
@@ -53,6 +54,8 @@ def correlate_all(
             signs[row, : runs[row]],
             taps_chips,
             skip,
+            NOTHING_SHARED,
+            steps,
             out[k, :periods],
         )
 

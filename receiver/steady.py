@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from deepgnss.core.jit import compilable, kernel
 from deepgnss.core.loops import LoopGains
 from deepgnss.core.records import ComplexArray, FloatArray, NcoCommand
-from deepgnss.receiver.baseband import correlate_periods
+from deepgnss.receiver.baseband import NOTHING_SHARED, correlate_periods
 from deepgnss.receiver.decisions import Calm, in_order, lately_dbhz
 from deepgnss.receiver.discriminators import costas_arctan, early_minus_late_envelope
 from deepgnss.receiver.generators import (
@@ -48,6 +48,8 @@ from deepgnss.receiver.modes import AidingRate
 from deepgnss.receiver.open_loop import MEAN_S, learnt, offset_of
 from deepgnss.receiver.sync import decided_signs
 from deepgnss.receiver.trackers import NO_CORRECTION, Correction, NcoState, smoothed_hz, totals
+
+_NEAR_ENTRIES = 65_536  # of running sums, half a MB: all channels go over them before they go on
 
 
 class State(NamedTuple):
@@ -111,53 +113,6 @@ class State(NamedTuple):
         )
 
 
-class Update(NamedTuple):
-    """What an update leaves."""
-
-    # Of the interval that is over: its correction in the middle, and the power it had.
-    phase: float
-    frequency: float
-    rate: float
-    middle_s: float
-    power: float
-    # The command that follows, what it was predicted by, the mean offset and C/N0 then.
-    sample: int
-    carrier_cycles: float
-    carrier_hz: float
-    carrier_hzps: float
-    code_chips: float
-    code_hz: float
-    code_hzps: float
-    aid_hz: float
-    aid_hzps: float
-    clock_hz: float
-    offset_hz: float
-    cn0_dbhz: float
-
-    @property
-    def aid(self) -> AidingRate:
-        """What the command that follows was predicted by."""
-        return AidingRate(self.aid_hz, self.aid_hzps, self.clock_hz)
-
-    @property
-    def carrier(self) -> NcoState:
-        """Its carrier generator."""
-        return NcoState(self.carrier_cycles, self.carrier_hz, self.carrier_hzps)
-
-    @property
-    def command(self) -> NcoCommand:
-        """The command that follows."""
-        return NcoCommand(
-            self.sample,
-            self.carrier_cycles,
-            self.carrier_hz,
-            self.carrier_hzps,
-            self.code_chips,
-            self.code_hz,
-            self.code_hzps,
-        )
-
-
 @cache
 def records(kind: type[NamedTuple]) -> np.dtype[np.void]:
     """How arrays of a tuple of integers and floats are made up."""
@@ -212,55 +167,66 @@ def run_steady(
     last one last, taken (n, periods, taps), cycles (n, points) of the predictions. What comes of
     it: told (n, updates) `Update`, symbols (n, updates, symbols) 1 for negative.
     """
-    end = first + (packed.size - 1) * step
-    rates = loops.rates
     stripped = np.empty(taken.shape[1:], dtype=np.complex128)
-    for k in range(states.size):
-        s = states[k]
-        row = s.row
-        while s.stopped == 0 and s.updates < told.shape[1]:
-            command = NcoCommand(
-                s.sample,
-                s.carrier_cycles,
-                s.carrier_hz,
-                s.carrier_hzps,
-                s.code_chips,
-                s.code_hz,
-                s.code_hzps,
-            )
-            there = min(periods_before(rates, command, end - loops.margin), loops.periods)
-            if there > s.filled:
-                due = taken[k, s.filled : there]
-                correlate_periods(
-                    packed,
-                    first,
-                    step,
-                    rates.sample_hz,
+    steps = np.empty((states.size, 4, edges.shape[1]))
+    shared = np.full(states.size, NOTHING_SHARED)
+    for entries in range(_NEAR_ENTRIES, packed.size + _NEAR_ENTRIES, _NEAR_ENTRIES):
+        end = first + (min(entries, packed.size) - 1) * step
+        for k in range(states.size):
+            s = states[k]
+            row = s.row
+            while s.stopped == 0 and s.updates < told.shape[1]:
+                command = command_of(s)
+                there = min(periods_before(loops.rates, command, end - loops.margin), loops.periods)
+                if there > s.filled:
+                    due = taken[k, s.filled : there]
+                    shared[k] = correlate_periods(
+                        packed,
+                        first,
+                        step,
+                        loops.rates.sample_hz,
+                        command,
+                        edges[row, : runs[row] + 1],
+                        signs[row, : runs[row]],
+                        taps_chips,
+                        s.filled,
+                        shared[k],
+                        steps[k],
+                        due,
+                    )
+                    if scale != 1.0:
+                        due *= scale
+                    s.filled = there
+                if s.filled < loops.periods:
+                    break
+                update(
+                    loops,
                     command,
-                    edges[row, : runs[row] + 1],
-                    signs[row, : runs[row]],
-                    taps_chips,
-                    s.filled,
-                    due,
+                    taken[k],
+                    secondary,
+                    shifts,
+                    s,
+                    recent[k],
+                    cycles[k, : s.points],
+                    told[k, s.updates],
+                    symbols[k, s.updates],
+                    stripped,
                 )
-                if scale != 1.0:
-                    due *= scale
-                s.filled = there
-            if s.filled < loops.periods:
-                break
-            update(
-                loops,
-                command,
-                taken[k],
-                secondary,
-                shifts,
-                s,
-                recent[k],
-                cycles[k, : s.points],
-                told[k, s.updates],
-                symbols[k, s.updates],
-                stripped,
-            )
+                shared[k] = NOTHING_SHARED
+
+
+@compilable
+def command_of(s: Record) -> NcoCommand:
+    """The command of a channel."""
+    return NcoCommand(
+        s.sample,
+        s.carrier_cycles,
+        s.carrier_hz,
+        s.carrier_hzps,
+        s.code_chips,
+        s.code_hz,
+        s.code_hzps,
+    )
 
 
 @compilable

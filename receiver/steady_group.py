@@ -7,18 +7,19 @@ to decide are rows of arrays (`steady`), until one has to go on by itself or the
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from deepgnss.core.records import FloatArray, RunningSums
 from deepgnss.receiver.channel import Channel
-from deepgnss.receiver.coasting import Began
 from deepgnss.receiver.decisions import calm
 from deepgnss.receiver.leading import NO_GRID, Profile
 from deepgnss.receiver.locks import RECENT_KEPT, half_shifts
 from deepgnss.receiver.modes import AidingSource, Mode, unaided
 from deepgnss.receiver.signals import code_table
-from deepgnss.receiver.steady import Loops, State, Update, records, run_steady
+from deepgnss.receiver.steady import Loops, State, records, run_steady
+from deepgnss.receiver.updates import Update, in_a_row
 
 
 def steady(channel: Channel, source: AidingSource) -> bool:
@@ -157,8 +158,7 @@ class SteadyGroup:
     def _back(self, k: int) -> Channel:
         channel, state = self._channels.pop(k), State(*self._states[k].item())
         if state.updates:
-            told = self._told[k, : state.updates].tolist()
-            updates = [Update(*one) for one in told]
+            updates = self._told[k, : state.updates].tolist()
             symbols = self._symbols[k, : state.updates].tobytes()
             take_back(channel, state, self._recent[k], updates, symbols, self._sources[k])
         channel.intake.refill(self._taken[k, : state.filled])
@@ -169,21 +169,18 @@ def take_back(
     channel: Channel,
     state: State,
     recent: FloatArray,
-    updates: Sequence[Update],
+    updates: Sequence[tuple[Any, ...]],
     symbols: bytes,
     source: AidingSource,
 ) -> None:
     """Let a channel go on from what became of it.
 
-    recent: (RECENT_KEPT,) powers; updates and symbols since, by source.
+    recent: (RECENT_KEPT,) powers; updates (`Update`) and symbols since, by source.
     """
-    passed, leading, began = [], channel.leading, channel.open_loop.now()
-    for update in updates:
-        passed.append(channel.open_loop.passed(began, update.offset_hz, update.power))
-        periods = began.periods + channel.signal.update_periods
-        began = Began(update.command, update.carrier, periods, update.aid)
-    channel.pass_on(updates, state.code_offset_hz)
-    leading.told_by = source
+    told = in_a_row(updates)
+    channel.open_loop.go_on(told, channel.signal.update_periods, state.offset_seconds)
+    channel.pass_on(told, state.code_offset_hz)
+    leading = channel.leading
+    leading.now, leading.told_by = told.aids[-1], source
     leading.led_hz, leading.led_hzps = state.led_hz, state.led_hzps
-    channel.open_loop.go_on(passed, state.offset_hz, state.offset_seconds)
     channel.resume(state.locks(recent), state.error_hz, symbols)

@@ -38,8 +38,9 @@ from deepgnss.receiver.signals import (
     code_runs,
     code_table,
 )
-from deepgnss.receiver.steady import State, Update, records, run_steady
+from deepgnss.receiver.steady import State, records, run_steady
 from deepgnss.receiver.steady_group import loops_of, state_of, take_back
+from deepgnss.receiver.updates import Update
 
 RATE_HZ = 2.61e6
 TRUTH = {
@@ -122,6 +123,7 @@ def test_every_channel_has_its_own_code_command_and_periods() -> None:
 # --- through epochs, steady ----------------------------------------------------------------------
 
 EPOCH_S = 0.1
+BLOCKS = (29_001, 200_003)  # samples: less and more than the kernel goes over at a time
 _EDGES_AT = 7  # code periods
 
 
@@ -231,7 +233,7 @@ def test_an_epoch_is_what_each_does_alone(
         conclude(channel, aiding)
 
     monkeypatch.setattr(Channel, "conclude", counted)
-    buffer = RunningSumBuffer(info, id_.carrier_hz, 100_000)
+    buffer = RunningSumBuffer(info, id_.carrier_hz, 2 * max(BLOCKS))
     rng = np.random.default_rng(5)
     for epoch in range(42):
         aiding: Mapping[str, AidingSource] = (
@@ -244,7 +246,7 @@ def test_an_epoch_is_what_each_does_alone(
         end = round((epoch + 1) * EPOCH_S * rate_hz)
         rack = Rack([*racked.values()], aiding, end)
         while buffer.end < end:
-            count = min(29_001, end - buffer.end)
+            count = min(BLOCKS[epoch % 2], end - buffer.end)
             t = (buffer.end + np.arange(count)) / rate_hz
             values = sum(8.0 * one.samples(t) for one in sky)
             noise = 20.0 * rng.standard_normal((count, 2))
@@ -314,10 +316,10 @@ def test_an_update_is_what_the_channel_concludes(signal: Signal) -> None:
         told.view(np.recarray),
         symbols,
     )
-    state, update = State(*states[0].item()), Update(*told[0, 0].item())
+    state = State(*states[0].item())
     other = deepcopy(channel)
     assert (state.updates, state.stopped, state.filled) == (1, 0, 0)
-    take_back(channel, state, recent, [update], symbols[0, 0].tobytes(), unaided)
+    take_back(channel, state, recent, told[0, :1].tolist(), symbols[0, 0].tobytes(), unaided)
     other.take(correlations)
     other.conclude(unaided)
     assert _alike(_state(channel), _state(other))
