@@ -59,7 +59,11 @@ def brief_kernel(function: _Function) -> _Function:
 
 
 def summing_kernel(function: _Function) -> _Function:
-    """As `kernel`, with sums that may be reassociated and contracted; NaN keeps its meaning."""
+    """As `kernel`, with sums that may be reassociated and contracted; NaN keeps its meaning.
+
+    There must be no product of complex numbers in it: numba compiles that once for all kernels,
+    with the liberties of whichever comes first, and their last bits would depend on that.
+    """
     return cast(
         _Function,
         numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})(

@@ -211,7 +211,8 @@ def correlate_period(
     interpolation), so that discriminators stay smooth when the sampling rate is a multiple of the
     chip rate.
     """
-    turn = complex(math.cos(2.0 * math.pi * phase_cycles), -math.sin(2.0 * math.pi * phase_cycles))
+    turn_real = math.cos(2.0 * math.pi * phase_cycles)
+    turn_imag = -math.sin(2.0 * math.pi * phase_cycles)
     reference = packed[base]
     for t in range(taps_chips.size):
         first = start - taps_chips[t] * entries_per_chip
@@ -243,7 +244,10 @@ def correlate_period(
                 q = lower_q + fraction * np.float64(ahead_q)
                 sum_real += i * steps_real[k] - q * steps_imag[k]
                 sum_imag += i * steps_imag[k] + q * steps_real[k]
-        out[t] = turn * complex(sum_real, sum_imag)
+        out[t] = complex(
+            turn_real * sum_real - turn_imag * sum_imag,
+            turn_real * sum_imag + turn_imag * sum_real,
+        )
 
 
 @kernel

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from deepgnss.core.jit import summing_kernel
+from deepgnss.core.jit import kernel
 from deepgnss.core.records import ComplexArray, FloatArray, SampleBlock
 from deepgnss.receiver.signals import Signal, signal_of
 from deepgnss.receiver.symbols import fit_symbols
@@ -80,7 +80,7 @@ def replica(signal_name: str, prn: int, half_band_hz: float) -> Replica:
     )
 
 
-@summing_kernel
+@kernel
 def correlate_samples(
     samples: NDArray[np.integer[Any]],
     carrier_cycles: float,

@@ -75,3 +75,40 @@ def test_cache_lies_in_a_user_folder_named_by_the_sources(tmp_path: Path) -> Non
     assert folders[0] == folders[1]
     assert folders[0].parent == tmp_path / "deepgnss" / "kernels"
     assert len(folders[0].name) == 16
+
+
+_AFTER_SUMS = """
+import inspect, pkgutil
+from importlib import import_module
+import numba
+import deepgnss.receiver
+
+summing = [
+    one
+    for module in pkgutil.iter_modules(deepgnss.receiver.__path__, "deepgnss.receiver.")
+    for one in vars(import_module(module.name)).values()
+    if getattr(one, "targetoptions", {}).get("fastmath") and one.__module__ == module.name
+]
+array, complexes = numba.float64[::1], numba.complex128[::1]
+kinds = {"float": numba.float64, "int": numba.int64, "FloatArray": array, "ComplexArray": complexes}
+kinds["NDArray[np.int64]"] = numba.int64[::1]
+for one in summing:
+    given = inspect.signature(one.py_func).parameters.values()
+    one.compile(tuple(kinds[argument.annotation] for argument in given))
+product = numba.njit(nogil=True, error_model="numpy")(lambda a, b: a * b)  # as kernels are
+product(1j, 1j)
+print(len(summing), "reassoc" in next(iter(product.inspect_llvm().values())))
+"""
+
+
+@pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="nothing is compiled")
+def test_sums_leave_others_their_arithmetic(tmp_path: Path) -> None:
+    """numba compiles a product of complex numbers once, with the liberties of the first kernel."""
+    run = subprocess.run(
+        [sys.executable, "-c", _AFTER_SUMS],
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stdout.split() == ["2", "False"]
