@@ -215,7 +215,7 @@ def limits(config: Config) -> tuple[str, ...]:
 def initial_knowledge(config: Config, start: datetime | None) -> Knowledge:
     """What the config says of date, place and orbits."""
     start = config.recording.start_time or start
-    near = from_utc(start) if start is not None else None
+    told = near = from_utc(start) if start is not None else None
     nav = NavData()
     if config.nav is not None:
         nav = read_nav(config.nav)
@@ -227,4 +227,4 @@ def initial_knowledge(config: Config, start: datetime | None) -> Knowledge:
         nav = replace(nav, corrections=range_corrections(base, nav))
     place = config.position
     position_e_m = ecef(math.radians(place[0]), math.radians(place[1]), place[2]) if place else None
-    return Knowledge(nav=nav, near=near, position_e_m=position_e_m)
+    return Knowledge(nav=nav, near=near, start=told, position_e_m=position_e_m)

@@ -9,7 +9,8 @@ when range shrinks.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -24,10 +25,12 @@ from deepgnss.receiver.acquisition_grid import (
     GridSearch,
     Peak,
     Periods,
+    Rows,
     SearchWindow,
     code_spectrum,
     cut,
     detection_threshold,
+    doppler_groups,
     doppler_rows,
     period_cells,
     replica_cells,
@@ -42,6 +45,7 @@ __all__ = [
     "cold_search",
     "cross_power",
     "search",
+    "search_windows",
 ]
 
 _LEAK_AMPLITUDE = 3.0  # over noise, of what a signal of 52 dB-Hz leaves in other codes …
@@ -214,17 +218,27 @@ def _search_all(
         GridSearch(periods, prn, dopplers_hz.size, settings.coherent_s, window) for prn in prns
     ]
     apply = map if executor is None else executor.map
-    for group_hz, rows in doppler_rows(periods, dopplers_hz, coherent):
+    groups_hz = doppler_groups(periods, dopplers_hz)
+    blocks = periods.samples.shape[0] // coherent
+    largest = blocks * max(group_hz.size for group_hz in groups_hz) * periods.window
+    spare: list[Complex64Array] = []  # to work in: pages let go and asked for anew take their time
 
-        def add(
-            search: GridSearch, group_hz: FloatArray = group_hz, rows: Complex64Array = rows
-        ) -> None:
-            search.add(group_hz, rows)
+    def through(group_hz: FloatArray) -> list[Rows]:
+        try:
+            whole = spare.pop()
+        except IndexError:
+            whole = np.empty(2 * largest, dtype=np.complex64)
+        shape = (2, blocks, group_hz.size, periods.window)
+        space = whole[: math.prod(shape)].reshape(shape)
+        rows = doppler_rows(periods, group_hz, coherent, space)
+        found = [search.through(group_hz, rows, space[1]) for search in searches]
+        spare.append(whole)
+        return found
 
-        list(apply(add, searches))
+    groups = list(apply(through, groups_hz))
 
-    def conclude(search: GridSearch) -> Acquisition:
-        peak = search.peak(settings.noncoherent)
+    def conclude(search: GridSearch, rows: Sequence[Rows]) -> Acquisition:
+        peak = search.peak(rows, settings.noncoherent)
         threshold = detection_threshold(settings.false_alarm, peak.cells, settings.noncoherent)
         found = peak.ratio > threshold
         place = (
@@ -245,7 +259,7 @@ def _search_all(
             reason="" if found else f"peak {peak.ratio:.2f} × noise, {threshold:.2f} needed",
         )
 
-    return list(apply(conclude, searches))
+    return list(apply(conclude, searches, zip(*groups, strict=True)))
 
 
 def _cut(sums: RunningSums, first: int, signal: Signal, settings: AcquisitionSettings) -> Periods:
@@ -276,6 +290,7 @@ def search(
     prn: int,
     settings: AcquisitionSettings,
     window: SearchWindow | None = None,
+    executor: Executor | None = None,
 ) -> Acquisition:
     """Search one satellite from sample `first` on, everywhere or in a predicted window only.
 
@@ -283,7 +298,32 @@ def search(
     """
     settings = _suited(settings, signal)
     periods = _cut(sums, first, signal, settings)
-    return _search_all(periods, [prn], settings, _grid_hz(settings, window), window, None)[0]
+    return _search_all(periods, [prn], settings, _grid_hz(settings, window), window, executor)[0]
+
+
+def search_windows(
+    sums: RunningSums,
+    first: int,
+    signal: Signal,
+    windows: Mapping[int, SearchWindow],
+    settings: AcquisitionSettings,
+    executor: Executor | None = None,
+) -> list[Acquisition]:
+    """Search satellites from sample `first` on, each in its window, in the order of `windows`.
+
+    The samples' spectra are made once for all.
+    """
+    if not windows:
+        return []
+    settings = _suited(settings, signal)
+    periods = _cut(sums, first, signal, settings)
+
+    def one(prn: int) -> Acquisition:
+        window = windows[prn]
+        (seen,) = _search_all(periods, [prn], settings, _grid_hz(settings, window), window, None)
+        return seen
+
+    return list(map(one, windows) if executor is None else executor.map(one, windows))
 
 
 def cold_search(

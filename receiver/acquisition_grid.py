@@ -10,7 +10,7 @@ several blocks are aligned for code Doppler and add up in power.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -99,6 +99,11 @@ class Periods:
         start = -cell % self.cells if self.window > self.cells else 0
         taken = self.samples[:, start : start + self.whole * self.cells]
         return taken.reshape(-1, self.cells), start
+
+    @property
+    def bin_hz(self) -> float:
+        """Width of a bin of a window's spectrum."""
+        return self.cells / (self.window * self.signal.period_s)
 
     @property
     def cells_per_hz_s(self) -> float:
@@ -233,28 +238,40 @@ def shift_blocks(
         turn *= step
 
 
+def doppler_groups(periods: Periods, dopplers_hz: FloatArray) -> list[FloatArray]:
+    """Dopplers in groups that the same shift of the spectra serves: rows are made of one each."""
+    half_bins = _half_bins(periods, dopplers_hz)
+    return [dopplers_hz[half_bins == half_bin] for half_bin in np.unique(half_bins)]
+
+
 def doppler_rows(
-    periods: Periods, dopplers_hz: FloatArray, coherent: int
-) -> Iterator[tuple[FloatArray, Complex64Array]]:
-    """Spectra of coherent blocks, (blocks, rows, window), one group of Dopplers after another."""
+    periods: Periods, group_hz: FloatArray, coherent: int, space: Complex64Array | None = None
+) -> Complex64Array:
+    """Spectra of coherent blocks at a group of Dopplers, (blocks, rows, window).
+
+    space: (2, blocks, rows, window) to work in, whose first half then holds the result.
+    """
     period_s = periods.signal.period_s
-    bin_hz = periods.cells / (periods.window * period_s)
+    half_bin = int(_half_bins(periods, group_hz)[0])
+    shift, half = divmod(half_bin, 2)
     blocks = periods.samples.shape[0] // coherent
-    half_bins = np.rint(2.0 * dopplers_hz / bin_hz).astype(np.int64)
-    within = np.arange(coherent) * period_s
-    for half_bin in np.unique(half_bins):
-        group = dopplers_hz[half_bins == half_bin]
-        shift, half = divmod(int(half_bin), 2)
-        source = periods.spectra[half].reshape(blocks, coherent, periods.window)
-        if coherent > 1:  # products of single numbers take longer than the transforms
-            weights = np.exp(-2j * np.pi * group[:, np.newaxis] * within).astype(np.complex64)
-            source = weights @ source
-        # Where the code stands in the middle of each block, against that at the start.
-        half_block_s = 0.5 * coherent * periods.whole * period_s
-        drift = half_block_s * 0.5 * half_bin * bin_hz * periods.cells_per_hz_s
-        rows = np.empty_like(source)
-        shift_blocks(source, shift % periods.window, delay(drift, periods.window), rows)
-        yield group, rows
+    if space is None:
+        space = np.empty((2, blocks, group_hz.size, periods.window), dtype=np.complex64)
+    rows: Complex64Array = space[0]
+    source = periods.spectra[half].reshape(blocks, coherent, periods.window)
+    if coherent > 1:  # products of single numbers take longer than the transforms
+        within = np.arange(coherent) * period_s
+        weights = np.exp(-2j * np.pi * group_hz[:, np.newaxis] * within).astype(np.complex64)
+        source = np.matmul(weights, source, out=space[1])
+    # Where the code stands in the middle of each block, against that at the start.
+    half_block_s = 0.5 * coherent * periods.whole * period_s
+    drift = half_block_s * 0.5 * half_bin * periods.bin_hz * periods.cells_per_hz_s
+    shift_blocks(source, shift % periods.window, delay(drift, periods.window), rows)
+    return rows
+
+
+def _half_bins(periods: Periods, dopplers_hz: FloatArray) -> NDArray[np.int64]:
+    return np.rint(2.0 * dopplers_hz / periods.bin_hz).astype(np.int64)
 
 
 # --- the grid ------------------------------------------------------------------------------------
@@ -285,8 +302,18 @@ def sum_power(
         totals[row] = total
 
 
+class Rows(NamedTuple):
+    """What one satellite's search of a group of Doppler rows came to."""
+
+    dopplers_hz: FloatArray  # (rows,)
+    cells: NDArray[np.int64]  # (rows,): the highest within the window …
+    highest: NDArray[np.float32]  # … and their powers
+    means: FloatArray  # (rows,): of whole rows, without the share of their peak
+    noise: NDArray[np.float32]  # powers of some cells
+
+
 class GridSearch:
-    """Highest cells and noise of one satellite's Doppler rows while they pass by."""
+    """One satellite's search, a group of Doppler rows at a time and in any order."""
 
     def __init__(
         self,
@@ -302,61 +329,59 @@ class GridSearch:
         self._code = code_spectrum(periods.signal.id.name, prn, periods.cells, periods.window)
         self._whole = periods.whole
         self._stride = max(1, rows * periods.cells // _NOISE_CELLS) | 1
-        self._noise: list[NDArray[np.float32]] = []
         self._allowed = np.arange(periods.cells)
         if window is not None:
             per_chip = periods.cells / periods.signal.id.code_chips
             centre = round((window.code_chips - periods.half_sample_chips) * per_chip)
             half = min(int(window.code_half_chips * per_chip) + 1, (periods.cells - 1) // 2)
             self._allowed = (centre + np.arange(-half, half + 1)) % periods.cells
-        self._dopplers_hz: list[FloatArray] = []
-        self._cells: list[NDArray[np.int64]] = []
         self._mirror_hz = periods.mirror_hz
-        self._highest: list[NDArray[np.float32]] = []  # within the window
-        self._means: list[FloatArray] = []  # of whole rows, without the share of their peak
         # A peak's triangle and side lobes, as cells of its height (Parseval of |code|²).
         code = code_spectrum(periods.signal.id.name, prn, periods.cells, periods.cells)
         spectrum = np.abs(code.astype(np.complex128)) ** 2
         self._own = spectrum.size * (spectrum**2).sum() / spectrum.sum() ** 2
 
-    def add(self, dopplers_hz: FloatArray, rows: Complex64Array) -> None:
-        """Search one group of Doppler rows."""
-        correlations = scipy.fft.fft(rows * self._code, overwrite_x=True)
+    def through(self, dopplers_hz: FloatArray, rows: Complex64Array, work: Complex64Array) -> Rows:
+        """Search one group of Doppler rows; `work` is written over, of the same shape."""
+        np.multiply(rows, self._code, out=work)
+        correlations = scipy.fft.fft(work, overwrite_x=True)
         power = np.empty((dopplers_hz.size, self._cells_searched), dtype=np.float32)
         totals = np.empty(dopplers_hz.size)
         sum_power(correlations, self._whole, power, totals)
-        self._noise.append(power.reshape(-1)[:: self._stride].copy())
         searched = power
         if self._allowed.size < power.shape[1]:
             searched = np.ascontiguousarray(power[:, self._allowed])
         columns = searched.argmax(axis=1)
-        self._dopplers_hz.append(dopplers_hz)
-        self._cells.append(self._allowed[columns])
-        self._highest.append(searched[np.arange(columns.size), columns])
         whole = power.shape[1]
-        self._means.append((totals - self._own * power.max(axis=1)) / (whole - self._own))
+        return Rows(
+            dopplers_hz,
+            self._allowed[columns],
+            searched[np.arange(columns.size), columns],
+            (totals - self._own * power.max(axis=1)) / (whole - self._own),
+            power.reshape(-1)[:: self._stride].copy(),
+        )
 
-    def peak(self, blocks: int) -> Peak:
+    def peak(self, groups: Sequence[Rows], blocks: int) -> Peak:
         """The highest cell against the noise floor, which is the median of all cells.
 
         Carriers, and signals with like codes at the same Doppler modulo 1 kHz, known or not,
         raise the mean of a whole row: what they may add to a single cell is taken off first.
         """
-        median = float(np.median(np.concatenate(self._noise)))
+        dopplers_hz, cells, powers, means, noises = map(np.concatenate, zip(*groups, strict=True))
+        median = float(np.median(noises))
         noise = median * blocks / float(scipy.special.gammaincinv(blocks, 0.5))
         noise = max(noise, float(np.finfo(np.float64).tiny))  # a recording of zeros
-        highest = np.concatenate(self._highest).astype(np.float64) / noise
-        excess = np.concatenate(self._means) / noise - 1.0
+        highest = powers.astype(np.float64) / noise
+        excess = means / noise - 1.0
         excess -= 3.0 * np.sqrt(self._own / (self._cells_searched * blocks))  # by chance
         leaks = LEAK_PEAK * np.maximum(excess, 0.0)
         ratios = np.maximum(np.sqrt(highest) - np.sqrt(leaks), 0.0) ** 2
-        dopplers_hz = np.concatenate(self._dopplers_hz)
         if self._mirror_hz is not None:  # all noise in one dimension: half the exponent
             ratios[abs(dopplers_hz - self._mirror_hz) < self._circular_hz] *= 0.5
         best = int(ratios.argmax())
         return Peak(
             doppler_hz=float(dopplers_hz[best]),
-            cell=int(np.concatenate(self._cells)[best]),
+            cell=int(cells[best]),
             ratio=float(ratios[best]),
             noise=noise,
             cells=ratios.size * self._allowed.size,

@@ -30,7 +30,14 @@ from deepgnss.receiver.known_symbols import KnownSymbols, Sent, foretold, rememb
 from deepgnss.receiver.messages import Frame, Subframe
 from deepgnss.receiver.modes import Mode, TrackingSettings
 from deepgnss.receiver.observables import PhaseMemory, observe, tag_of
-from deepgnss.receiver.search import Place, Searcher, SearchSettings, Sight, predict_sights
+from deepgnss.receiver.search import (
+    Assistance,
+    Place,
+    Searcher,
+    SearchSettings,
+    Sight,
+    predict_sights,
+)
 from deepgnss.receiver.signals import Signal
 from deepgnss.receiver.smoothing import HatchState, smooth
 
@@ -99,13 +106,16 @@ class Bank:
         self,
         feed: SumFeed,
         window: tuple[int, int],
-        place: Place | None,
-        nav: NavData,
+        known: Assistance,
         clock: ReceiverClock | None,
         accounts: Accounts,
+        elsewhere: int,
         executor: Executor | None,
     ) -> list[Event]:
-        """Look for satellites that are not tracked, on the samples that begin an epoch."""
+        """Look for satellites that are not tracked, on the samples that begin an epoch.
+
+        `elsewhere`: satellites that other banks track.
+        """
         first, end = window
         events = []
         tracked = frozenset(self.channels)
@@ -113,7 +123,9 @@ class Bank:
         def strong() -> list[Acquisition]:
             return [self._as_seen(channel, prn, first) for prn, channel in self.channels.items()]
 
-        outcomes = self._searcher.look(feed, first, end, place, nav, tracked, executor, strong)
+        outcomes = self._searcher.look(
+            feed, first, end, known, tracked, elsewhere, executor, strong
+        )
         for seen, sight in outcomes:
             accounts.searched(seen)
             if seen.found:

@@ -259,7 +259,7 @@ def _median_share(blocks: int) -> float:
 def _power(periods: Periods, track: _Track, scene: _Scene) -> FloatArray:
     """Correlation power over code phase, the predicted one first; mean of noise not normalized."""
     doppler_hz = np.array([track.doppler_hz])
-    _, rows = next(doppler_rows(periods, doppler_hz, scene.periods))
+    rows = doppler_rows(periods, doppler_hz, scene.periods)
     code = code_spectrum(scene.signal.id.name, track.prn, periods.cells, periods.cells)
     wavenumber = scipy.fft.fftfreq(periods.cells)
     chips = track.code_at(periods.first, scene.stream, scene.signal) - periods.half_sample_chips

@@ -40,7 +40,7 @@ from deepgnss.receiver.measured import Measured, measure
 from deepgnss.receiver.messages import Frame, News, Subframe
 from deepgnss.receiver.modes import AidingSource, Coast, Mode, TrackingSettings
 from deepgnss.receiver.rack import Rack
-from deepgnss.receiver.search import Place, SearchSettings
+from deepgnss.receiver.search import Assistance, Place, SearchSettings
 from deepgnss.receiver.signals import Signal
 
 _TRAVEL_S = 0.075  # of a signal, when nothing is known: right to 12 ms
@@ -67,6 +67,7 @@ class Knowledge:
 
     nav: NavData = field(default_factory=NavData)
     near: GpsTime | None = None  # rough date, for the week number
+    start: GpsTime | None = None  # of the recording, good to minutes: for who is in sight
     clock: ReceiverClock | None = None
     position_e_m: FloatArray | None = None
     symbols: Mapping[str, KnownSymbols] = field(default_factory=dict)
@@ -335,14 +336,24 @@ class Receiver:
             return None
         return Place(time, self._start.position_e_m, np.zeros(3), drift_sps, moving=True)
 
+    def _rough_place(self, sample: int) -> Place | None:
+        """Where and when a sample was taken, as far as somebody has told beforehand."""
+        start, r_e_m = self._start.start, self._start.position_e_m
+        if start is None or r_e_m is None:
+            return None
+        return Place(start.plus(float(sample / self._rate)), r_e_m, np.zeros(3), 0.0, moving=True)
+
     def _search(self, feeds: Mapping[str, SumFeed], first: int, end: int) -> None:
         """Look for satellites that are not tracked, on the samples that begin this epoch."""
         place = self._place(first)
+        rough = self._rough_place(first) if place is None else None
+        known = Assistance(self.nav, place, rough)
         for bank in self.banks:
+            elsewhere = sum(len(other.channels) for other in self.banks if other is not bank)
             window = (self.sample_in(bank.rate_hz, first), self.sample_in(bank.rate_hz, end))
             clock = self.clock.at_rate(bank.rate_hz) if self.clock is not None else None
-            feed = feeds[bank.signal.id.name]
-            found = bank.search(feed, window, place, self.nav, clock, self.accounts, self._executor)
+            feed, executor = feeds[bank.signal.id.name], self._executor
+            found = bank.search(feed, window, known, clock, self.accounts, elsewhere, executor)
             self._log(found, bank)
             if place is not None and clock is not None and not place.moving:
                 self._log(bank.anchor_faint(place, self.nav, clock, window[0]), bank)

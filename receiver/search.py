@@ -25,11 +25,13 @@ from deepgnss.receiver.acquisition import (
     changes_often,
     cold_search,
     search,
+    search_windows,
 )
 from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.signals import Signal
 from deepgnss.receiver.weak_search import Aim, WeakSettings, needed_samples, weak_search
 
+_HIDDEN_RAD = math.radians(-10.0)  # so far below a satellite does not rise within minutes
 _BLIND_CHANGING = 3.0  # times the sums and the pause where signs change from period to period
 
 
@@ -72,6 +74,14 @@ class Place(NamedTuple):
     moving: bool = False  # it may be on the move, so that position and velocity are rough
 
 
+class Assistance(NamedTuple):
+    """What searches can go by."""
+
+    nav: NavData
+    place: Place | None = None  # known well enough to predict signals
+    rough: Place | None = None  # its time good to minutes: tells who is in sight
+
+
 def predict_sights(
     place: Place, nav: NavData, signal: Signal, satellites: Sequence[str] | None = None
 ) -> list[Sight]:
@@ -98,6 +108,14 @@ def predict_sights(
         )
         for k, ephemeris in enumerate(chosen)
     ]
+
+
+def hidden_prns(known: Assistance, signal: Signal) -> frozenset[int]:
+    """Satellites far below the horizon where and when a receiver is said to be."""
+    if known.rough is None:
+        return frozenset()
+    sights = predict_sights(known.rough, known.nav, signal)
+    return frozenset(int(s.satellite[1:]) for s in sights if s.elevation_rad < _HIDDEN_RAD)
 
 
 def window_of(sight: Sight, place: Place, signal: Signal, settings: SearchSettings) -> SearchWindow:
@@ -128,9 +146,9 @@ class Outcome(NamedTuple):
 class Searcher:
     """Decides at each epoch whom to look for; the cost per second of signal is bounded.
 
-    The first epoch searches all satellites (those predicted, once time and place are known).
-    Later on predicted ones that stay away are tried ever less often, and of those nothing is
-    known of, one after the other.
+    The first epoch searches all satellites: those predicted, once time and place are known, and
+    not those far below the horizon where these are known roughly. Later on predicted ones that
+    stay away are tried ever less often, and of those nothing is known of, one after the other.
     """
 
     def __init__(
@@ -172,17 +190,19 @@ class Searcher:
         feed: SumFeed,
         first: int,
         end: int,
-        place: Place | None,
-        nav: NavData,
+        known: Assistance,
         tracked: frozenset[int],
+        elsewhere: int,
         executor: Executor | None,
         strong: Callable[[], Sequence[Acquisition]] = tuple,
     ) -> list[Outcome]:
         """Search on the samples from `first` on, at most to `end`, or on those before `first`.
 
-        `strong`: what the tracked ones are at `first`, for what they leave in others' codes.
+        `elsewhere`: satellites tracked on other signals. `strong`: what the tracked ones are at
+        `first`, for what they leave in others' codes.
         """
         outcomes: list[Outcome] = []
+        nav, place = known.nav, known.place
         if self._start is None:
             self._start = first
         count = round(self.length_s * self._rate)
@@ -202,23 +222,20 @@ class Searcher:
                 for sight in sights
                 if sight.elevation_rad >= self._settings.below_mask_rad and sight.healthy
             )
-            outcomes += [
-                self._in_window(sums(), first, place, sight)
-                for sight in sights
-                if self._wanted(sight, first, tracked)
-            ]
+            wanted = [sight for sight in sights if self._wanted(sight, first, tracked)]
+            if wanted:
+                outcomes += self._in_windows(sums(), first, place, wanted, executor)
         unknown = [p for p in self._signal.prns if p not in tracked and p not in self._predicted]
         if not self._began:
             if place is None or not self._predicted:
-                found = cold_search(
-                    sums(), first, self._signal, self._acquisition, unknown, executor
-                )
+                hidden = hidden_prns(known, self._signal)
+                found = self._cold_search(sums(), first, unknown, hidden, elsewhere, executor)
                 outcomes += [Outcome(seen, None) for seen in found]
         elif first >= self._next_blind and unknown:
             prn = min(unknown, key=lambda p: (self._tried.get(p, -1), p))
             self._tried[prn] = first
-            few = len(tracked) < self._settings.few
-            outcomes.append(self._blind_search(feed, first, prn, few))
+            few = len(tracked) + elsewhere < self._settings.few
+            outcomes.append(self._blind_search(feed, first, prn, few, executor))
         if not self._began or first >= self._next_blind:
             settings = self._settings
             pause_s = settings.blind_unplaced_s if place is None else settings.blind_every_s
@@ -230,6 +247,29 @@ class Searcher:
         if place is not None:
             return outcomes + self._look_back(feed, first, place, nav, taken, strong)
         return outcomes
+
+    def _cold_search(
+        self,
+        sums: RunningSums,
+        first: int,
+        prns: Sequence[int],
+        hidden: frozenset[int],
+        elsewhere: int,
+        executor: Executor | None,
+    ) -> list[Acquisition]:
+        """Search satellites; hidden ones only where few others are found, since time may be wrong.
+
+        All are searched anew then, since strong ones may leave something in any other's code.
+        """
+
+        def found(chosen: Sequence[int]) -> list[Acquisition]:
+            return cold_search(sums, first, self._signal, self._acquisition, chosen, executor)
+
+        if hidden and (shown := [prn for prn in prns if prn not in hidden]):
+            seen = found(shown)
+            if elsewhere + sum(one.found for one in seen) >= self._settings.few:
+                return seen
+        return found(prns)
 
     def _look_back(
         self,
@@ -261,17 +301,19 @@ class Searcher:
         seen = weak_search(feed.over, first, self._signal, prn, aim, weak, self._rate, strong())
         return [Outcome(seen, sight)]
 
-    def _blind_search(self, feed: SumFeed, first: int, prn: int, few: bool) -> Outcome:
+    def _blind_search(
+        self, feed: SumFeed, first: int, prn: int, few: bool, executor: Executor | None
+    ) -> Outcome:
         """Search a satellite of which nothing is known: with longer sums while there are few."""
         signal, long = self._signal, self._blind_settings(few)
         length_s = long.coherent_s * long.noncoherent + 2.0 * signal.period_s
         count = round(length_s * self._rate)
         if self._start is None or first - count < self._start:
             long, count = self._acquisition, round(self.length_s * self._rate)
-            seen = search(feed.over(first, count), first, signal, prn, long)
+            seen = search(feed.over(first, count), first, signal, prn, long, executor=executor)
             return Outcome(seen, None)
         begin = first - count
-        seen = search(feed.over(begin, count), begin, signal, prn, long)
+        seen = search(feed.over(begin, count), begin, signal, prn, long, executor=executor)
         stretch = 1.0 + seen.doppler_hz / signal.id.carrier_hz
         chips = seen.code_chips + count / self._rate * signal.id.chip_rate_hz * stretch
         return Outcome(replace(seen, first=first, code_chips=chips % signal.id.code_chips), None)
@@ -292,10 +334,20 @@ class Searcher:
             and first >= self._due.get(prn, first)
         )
 
-    def _in_window(self, sums: RunningSums, first: int, place: Place, sight: Sight) -> Outcome:
-        prn = int(sight.satellite[1:])
-        pause_s = self._pause_s.get(prn, self._settings.predicted_every_s)
-        self._due[prn] = first + round(pause_s * self._rate)
-        self._pause_s[prn] = min(2.0 * pause_s, self._settings.patience_s)
-        window = window_of(sight, place, self._signal, self._settings)
-        return Outcome(search(sums, first, self._signal, prn, self._acquisition, window), sight)
+    def _in_windows(
+        self,
+        sums: RunningSums,
+        first: int,
+        place: Place,
+        sights: Sequence[Sight],
+        executor: Executor | None,
+    ) -> list[Outcome]:
+        windows = {}
+        for sight in sights:
+            prn = int(sight.satellite[1:])
+            pause_s = self._pause_s.get(prn, self._settings.predicted_every_s)
+            self._due[prn] = first + round(pause_s * self._rate)
+            self._pause_s[prn] = min(2.0 * pause_s, self._settings.patience_s)
+            windows[prn] = window_of(sight, place, self._signal, self._settings)
+        found = search_windows(sums, first, self._signal, windows, self._acquisition, executor)
+        return [Outcome(seen, sight) for seen, sight in zip(found, sights, strict=True)]

@@ -16,7 +16,7 @@ from deepgnss.receiver.acquisition import (
     AcquisitionSettings,
     SearchWindow,
     cold_search,
-    search,
+    search_windows,
 )
 from deepgnss.receiver.baseband import running_sums
 from deepgnss.receiver.coarse_time import CodePhase, Rough
@@ -107,10 +107,7 @@ def search_beside(
     }
     sums = running_sums(block, signal.id.carrier_hz)
     acquisition = acquisition_of(block, signal, settings)
-    searched = [
-        search(sums, block.first, signal, prn, acquisition, window)
-        for prn, window in windows.items()
-    ]
+    searched = search_windows(sums, block.first, signal, windows, acquisition)
     return [
         measure(block, signal, one.prn, one.doppler_hz, one.code_chips)
         for one in searched

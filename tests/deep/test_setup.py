@@ -150,7 +150,7 @@ def test_rough_place_and_date() -> None:
         _config(position=[52.0, 10.5, 120.0], recording={"start_time": "2022-01-01T12:00:10Z"}),
         (STREAM,),
     )
-    assert plan.knowledge.near == GpsTime(2190, 561_628.0)
+    assert plan.knowledge.near == plan.knowledge.start == GpsTime(2190, 561_628.0)
     assert plan.knowledge.position_e_m is not None
     lat, lon, height_m = geodetic(plan.knowledge.position_e_m)
     assert (math.degrees(lat), math.degrees(lon)) == pytest.approx((52.0, 10.5))

@@ -19,6 +19,7 @@ from deepgnss.receiver.acquisition import (
     cold_search,
     cross_power,
     search,
+    search_windows,
 )
 from deepgnss.receiver.acquisition_grid import (
     delay,
@@ -205,8 +206,15 @@ def test_threads_change_nothing() -> None:
     sums = running_sums(sky(info(4.0e6), [Sent(1, 500.0, 3.0, 45.0)], 0.0201, rng), CARRIER_HZ)
     settings = AcquisitionSettings(doppler_max_hz=1000.0)
     alone = cold_search(sums, 0, L1CA, settings)
+    one = search(sums, 0, L1CA, 1, settings)
+    windows = {prn: SearchWindow(400.0, 200.0, 3.0 * prn, 4.0 * prn) for prn in (2, 1)}
+    apart = [search(sums, 0, L1CA, prn, settings, window) for prn, window in windows.items()]
+    assert search_windows(sums, 0, L1CA, windows, settings) == apart
+    assert search_windows(sums, 0, L1CA, {}, settings) == []
     with ThreadPoolExecutor(2) as executor:
         assert cold_search(sums, 0, L1CA, settings, executor=executor) == alone
+        assert search(sums, 0, L1CA, 1, settings, executor=executor) == one
+        assert search_windows(sums, 0, L1CA, windows, settings, executor) == apart
 
 
 def test_block_end_is_enough_and_beyond_is_refused() -> None:

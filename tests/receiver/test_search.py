@@ -14,6 +14,7 @@ from deepgnss.receiver import search as module
 from deepgnss.receiver.acquisition import Acquisition, AcquisitionSettings, SearchWindow
 from deepgnss.receiver.baseband import running_sums
 from deepgnss.receiver.search import (
+    Assistance,
     Place,
     Searcher,
     SearchSettings,
@@ -137,6 +138,7 @@ def searched(
         prn: int,
         settings: AcquisitionSettings,
         window: SearchWindow | None = None,
+        executor: None = None,
     ) -> Acquisition:
         log.append((first, prn, window is not None))
         return Acquisition(f"G{prn:02d}", prn, first, 0.0, 0.0, 1.0, 8.0, 0.0, False, "noise")
@@ -168,8 +170,7 @@ def searched(
     monkeypatch.setattr(module, "weak_search", long)
     monkeypatch.setattr(module, "search", one)
     monkeypatch.setattr(module, "cold_search", many)
-    if hasattr(module, "search_windows"):
-        monkeypatch.setattr(module, "search_windows", windows)
+    monkeypatch.setattr(module, "search_windows", windows)
     return log
 
 
@@ -178,7 +179,7 @@ def _run(
 ) -> _Feed:
     feed = _Feed()
     for first in range(0, int(seconds * RATE_HZ), EPOCH):
-        searcher.look(feed, first, first + EPOCH, place, nav, tracked, None)  # type: ignore[arg-type]
+        searcher.look(feed, first, first + EPOCH, Assistance(nav, place), tracked, 0, None)  # type: ignore[arg-type]
     return feed
 
 
@@ -197,6 +198,42 @@ def test_knowing_nothing_all_are_searched_first_then_one_after_the_other(
     np.testing.assert_allclose(np.diff([s for s, _ in later]) / RATE_HZ, 2.0, atol=0.11)
     assert [prn for _, prn in later[:30]] == first  # all in turn
     assert later[30][1] == 1
+
+
+@pytest.mark.parametrize(("present", "again"), [(4, False), (3, True)])
+def test_at_first_those_far_below_the_horizon_are_searched_only_where_others_are_too_few(
+    monkeypatch: pytest.MonkeyPatch, present: int, again: bool
+) -> None:
+    """By a place and a time good to minutes; of those without orbits nothing is known."""
+    asked: list[list[int]] = []
+
+    def many(
+        sums: None, first: int, signal: Signal, settings: None, prns: list[int], *rest: Any
+    ) -> list[Acquisition]:
+        asked.append(prns)
+        return [
+            Acquisition(f"G{prn:02d}", prn, first, 0.0, 0.0, 9.0, 8.0, 45.0, k < present)
+            for k, prn in enumerate(prns)
+        ]
+
+    monkeypatch.setattr(module, "cold_search", many)
+    nav, rough = shared_sky().scenario.nav, _place(0)
+    rough = rough._replace(time=rough.time.plus(300.0))
+    hidden = {
+        int(s.satellite[1:])
+        for s in predict_sights(rough, nav, GPS_L1CA_SIGNAL)
+        if s.elevation_rad < np.radians(-10.0)
+    }
+    assert 8 < len(hidden) < 20
+    shown = [prn for prn in range(1, 33) if prn not in hidden]
+    known = Assistance(nav, None, rough)
+    found = _searcher().look(_Feed(), 0, EPOCH, known, frozenset(), 0, None)  # type: ignore[arg-type]
+    assert asked == [shown, list(range(1, 33))] if again else [shown]
+    assert [outcome.seen.prn for outcome in found] == asked[-1]
+    # Those tracked on other signals count.
+    asked.clear()
+    _searcher().look(_Feed(), 0, EPOCH, known, frozenset(), 1, None)  # type: ignore[arg-type]
+    assert asked == [shown]
 
 
 def test_predicted_ones_only_and_ever_less_often(searched: list[tuple[int, int, bool]]) -> None:
@@ -231,14 +268,14 @@ def test_a_lost_satellite_is_looked_for_at_once(searched: list[tuple[int, int, b
     searcher.lost(prn)
     start = int(31.0 * RATE_HZ)
     for first in range(start, start + 11 * EPOCH, EPOCH):
-        searcher.look(_Feed(), first, first + EPOCH, place, nav, frozenset(), None)  # type: ignore[arg-type]
+        searcher.look(_Feed(), first, first + EPOCH, Assistance(nav, place), frozenset(), 0, None)  # type: ignore[arg-type]
     assert prn in [p for _, p, window in searched if window]
 
 
 def test_no_search_beyond_the_epoch(searched: list[tuple[int, int, bool]]) -> None:
     """What the recording's end leaves is too short."""
     feed = _Feed()
-    assert not _searcher().look(feed, 0, 1000, None, NavData(), frozenset(), None)  # type: ignore[arg-type]
+    assert not _searcher().look(feed, 0, 1000, Assistance(NavData()), frozenset(), 0, None)  # type: ignore[arg-type]
     assert not searched
     assert feed.asked == 0
 
@@ -273,19 +310,36 @@ def test_blind_searches_are_longer_while_few_are_tracked_and_look_back(
     asked: list[tuple[int, int, int]] = []
 
     def one(
-        sums: None, first: int, signal: Signal, prn: int, settings: AcquisitionSettings
+        sums: None,
+        first: int,
+        signal: Signal,
+        prn: int,
+        settings: AcquisitionSettings,
+        executor: None,
     ) -> Acquisition:
         asked.append((first, prn, settings.noncoherent))
         return Acquisition(f"G{prn:02d}", prn, first, 1000.0, 3.0, 9.0, 8.0, 30.0, True)
 
     monkeypatch.setattr(module, "search", one)
     monkeypatch.setattr(module, "cold_search", lambda *rest: [])
-    for tracked, sums in ((frozenset({1}), 8), (frozenset({1, 2, 3, 4}), 2)):
+    for tracked, elsewhere, sums in (
+        (frozenset({1}), 0, 8),
+        (frozenset({1}), 3, 2),
+        (frozenset({1, 2, 3, 4}), 0, 2),
+    ):
         searcher = _searcher()
         asked.clear()
         found = []
         for first in range(0, int(2.2 * RATE_HZ), EPOCH):
-            found += searcher.look(_Feed(), first, first + EPOCH, None, NavData(), tracked, None)  # type: ignore[arg-type]
+            found += searcher.look(
+                _Feed(),  # type: ignore[arg-type]
+                first,
+                first + EPOCH,
+                Assistance(NavData()),
+                tracked,
+                elsewhere,
+                None,
+            )
         ((begin, _, noncoherent),) = asked
         assert noncoherent == sums
         now = 20 * EPOCH
