@@ -70,6 +70,8 @@ def draw_overview(path: Path, run: Run, truth: Trajectory | None = None) -> None
         _draw_errors(below, e, start)
     else:
         _draw_dop(below, run.solution, start)
+    layout.execute(figure)
+    figure.set_layout_engine("none")  # or saving would go through the whole drawing twice
     with reporting(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(part_path(path), format="png", metadata={"Software": None})
@@ -166,10 +168,8 @@ def label_offsets(places: dict[str, tuple[float, float]]) -> dict[str, tuple[flo
     angles = np.radians(np.arange(0.0, 360.0, 30.0))
     for name, here in at.items():
         candidates = np.column_stack((17.0 * np.sin(angles), 13.0 * np.cos(angles)))
-        distances = [
-            min((np.hypot(*((here + c - t) / (2.0, 1.0))) for t in taken), default=0.0)
-            for c in candidates
-        ]
+        apart = (here + candidates)[:, np.newaxis] - np.array(taken)
+        distances = np.hypot(apart[..., 0] / 2.0, apart[..., 1]).min(axis=1)
         # Labels over the rim run into those of the other panels.
         outside = np.hypot(*(here + candidates).T) > 88.0 * points_per_degree
         best = candidates[int(np.argmax(np.where(outside, -1.0, distances)))]

@@ -30,7 +30,9 @@ def escaped(part: Part) -> Html:
     """Markup that shows a piece; control characters of a file's text are left out."""
     if isinstance(part, Html):
         return part
-    shown = "".join(c for c in part or "" if c.isprintable() or c == "\n")
+    shown = part or ""
+    if not shown.isprintable():
+        shown = "".join(c for c in shown if c.isprintable() or c == "\n")
     return Html(html.escape(shown, quote=True))
 
 
