@@ -245,7 +245,7 @@ class Searcher:
             self._began = True
         taken = tracked | {outcome.seen.prn for outcome in outcomes if outcome.seen.found}
         if place is not None:
-            return outcomes + self._look_back(feed, first, place, nav, taken, strong)
+            return outcomes + self._look_back(feed, first, place, nav, taken, strong, executor)
         return outcomes
 
     def _cold_search(
@@ -279,6 +279,7 @@ class Searcher:
         nav: NavData,
         taken: frozenset[int],
         strong: Callable[[], Sequence[Acquisition]],
+        executor: Executor | None,
     ) -> list[Outcome]:
         """The long search of one predicted satellite that a usual search has missed."""
         weak = self._settings.weak
@@ -298,7 +299,9 @@ class Searcher:
         self._next_weak = first + round(self._settings.weak_every_s * self._rate)
         self._tried_long[prn] = first
         aim = aim_of(sight, place, self._signal, self._settings)
-        seen = weak_search(feed.over, first, self._signal, prn, aim, weak, self._rate, strong())
+        seen = weak_search(
+            feed.over, first, self._signal, prn, aim, weak, self._rate, strong(), executor
+        )
         return [Outcome(seen, sight)]
 
     def _blind_search(

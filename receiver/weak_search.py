@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -82,6 +83,7 @@ def weak_search(
     settings: WeakSettings,
     sample_rate_hz: float,
     strong: Sequence[Acquisition] = (),
+    executor: Executor | None = None,
 ) -> Acquisition:
     """Search a satellite on the samples before `now`; code phase and Doppler are those at `now`.
 
@@ -91,7 +93,9 @@ def weak_search(
     best: _Peak | None = None
     rows = cells = 0
     for centre_hz, row_hz in _bands(signal, aim.window, settings):
-        strip = _correlate(read, now, signal, prn, aim, settings, sample_rate_hz, centre_hz)
+        strip = _correlate(
+            read, now, signal, prn, aim, settings, sample_rate_hz, centre_hz, executor
+        )
         for rate_hzps in _rates(signal, aim, settings):
             peak = _highest(strip, signal, row_hz, rate_hzps)
             rows, cells = rows + row_hz.size, strip.window_cells.size
@@ -164,6 +168,7 @@ def _correlate(
     settings: WeakSettings,
     sample_rate_hz: float,
     centre_hz: float,
+    executor: Executor | None,
 ) -> _Strip:
     length, cells, size = signal.id.code_chips, period_cells(signal), signal.symbol_periods
     middle_hz = centre_hz - 0.5 * aim.rate_hzps * settings.length_s
@@ -186,22 +191,26 @@ def _correlate(
         -2j * np.pi * centre_hz * period_s * ((np.arange(cells) + 0.5) / cells - 0.5)
     ).astype(np.complex64)
     rate_hz = cells / period_s
-    taken = np.empty((periods, columns.size), dtype=np.complex128)
     per_chunk = max(1, round(_CHUNK_S / signal.period_s))
-    mirror_hz = None
-    for first in range(0, periods, per_chunk):
+
+    def chunk(first: int) -> tuple[Complex64Array, float | None]:
+        """Correlations of the periods from `first` on; the first chunk tells of the mirror."""
         count = min(per_chunk, periods - first)
         begin = start + first * period_s * sample_rate_hz
         low = math.floor(begin - _MARGIN_S * sample_rate_hz)
         high = math.ceil(begin + (count * period_s + _MARGIN_S) * sample_rate_hz)
         sums = read(max(low, 0), min(high, now) - max(low, 0))
         flat = resample(sums, begin, rate_hz, count * cells).reshape(count, cells)
-        if first == 0:
-            mirror_hz = mirror_frequency_hz(flat.ravel(), rate_hz)
-        spectra: Complex64Array = scipy.fft.fft(flat * wipe)
+        mirror_hz = mirror_frequency_hz(flat.ravel(), rate_hz) if first == 0 else None
+        flat *= wipe
+        spectra: Complex64Array = scipy.fft.fft(flat, overwrite_x=True)
         spectra *= line_weights(spectra)
         spectra *= code
-        taken[first : first + count] = scipy.fft.fft(spectra, overwrite_x=True)[:, columns]
+        return scipy.fft.fft(spectra, overwrite_x=True)[:, columns], mirror_hz
+
+    firsts = range(0, periods, per_chunk)
+    chunks = list(map(chunk, firsts) if executor is None else executor.map(chunk, firsts))
+    taken = np.concatenate([values for values, _ in chunks], dtype=np.complex128)
     times_s: FloatArray = start_s + (np.arange(periods, dtype=np.float64) + 0.5) * period_s
     signs = np.tile(signal.secondary, periods // size)
     taken *= (np.exp(-2j * np.pi * np.mod(centre_hz * times_s, 1.0)) * signs)[:, np.newaxis]
@@ -213,7 +222,7 @@ def _correlate(
         chip_cells,
         centre_hz,
         middle_hz,
-        mirror_hz,
+        chunks[0][1],
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -171,3 +172,12 @@ def test_what_a_strong_code_explains_is_told() -> None:
         seen = one.search(WeakSettings(0.2), 20.0, (strong,))
         assert seen.found is not explained
         assert seen.reason == ("cross-correlation of G07" if explained else "")
+
+
+def test_threads_change_nothing() -> None:
+    one = past(L1CA, 0.3, 5).with_signal(30.0)
+    aim = Aim(SearchWindow(one.doppler_hz + 40.0, 120.0, one.code_chips, 10.0), one.period)
+    known = (L1CA, one.prn, aim, WeakSettings(0.3), one.rate_hz)
+    alone = weak_search(one.read, one.now, *known)
+    with ThreadPoolExecutor(2) as executor:
+        assert weak_search(one.read, one.now, *known, executor=executor) == alone
