@@ -67,10 +67,10 @@ class Knowledge:
 
     nav: NavData = field(default_factory=NavData)
     near: GpsTime | None = None  # rough date, for the week number
-    start: GpsTime | None = None  # of the recording, good to minutes: for who is in sight
     clock: ReceiverClock | None = None
     position_e_m: FloatArray | None = None
     symbols: Mapping[str, KnownSymbols] = field(default_factory=dict)
+    start: GpsTime | None = None  # of the recording, good to minutes: for who is in sight
 
 
 Screen = Callable[[Measured], Mapping[str, str]]

@@ -225,27 +225,41 @@ class Searcher:
             wanted = [sight for sight in sights if self._wanted(sight, first, tracked)]
             if wanted:
                 outcomes += self._in_windows(sums(), first, place, wanted, executor)
-        unknown = [p for p in self._signal.prns if p not in tracked and p not in self._predicted]
-        if not self._began:
-            if place is None or not self._predicted:
-                hidden = hidden_prns(known, self._signal)
-                found = self._cold_search(sums(), first, unknown, hidden, elsewhere, executor)
-                outcomes += [Outcome(seen, None) for seen in found]
-        elif first >= self._next_blind and unknown:
-            prn = min(unknown, key=lambda p: (self._tried.get(p, -1), p))
-            self._tried[prn] = first
-            few = len(tracked) + elsewhere < self._settings.few
-            outcomes.append(self._blind_search(feed, first, prn, few, executor))
         if not self._began or first >= self._next_blind:
-            settings = self._settings
-            pause_s = settings.blind_unplaced_s if place is None else settings.blind_every_s
-            if changes_often(self._signal):  # such a search costs several times as much
-                pause_s *= _BLIND_CHANGING
-            self._next_blind = first + round(pause_s * self._rate)
-            self._began = True
+            outcomes += self._blind(feed, sums, first, known, tracked, elsewhere, executor)
         taken = tracked | {outcome.seen.prn for outcome in outcomes if outcome.seen.found}
         if place is not None:
             return outcomes + self._look_back(feed, first, place, nav, taken, strong, executor)
+        return outcomes
+
+    def _blind(
+        self,
+        feed: SumFeed,
+        sums: Callable[[], RunningSums],
+        first: int,
+        known: Assistance,
+        tracked: frozenset[int],
+        elsewhere: int,
+        executor: Executor | None,
+    ) -> list[Outcome]:
+        """Search those nothing is known of: all at first, one of them from time to time then."""
+        settings, outcomes = self._settings, []
+        unknown = [p for p in self._signal.prns if p not in tracked and p not in self._predicted]
+        if not self._began:
+            if known.place is None or not self._predicted:
+                hidden = hidden_prns(known, self._signal)
+                found = self._cold_search(sums(), first, unknown, hidden, elsewhere, executor)
+                outcomes = [Outcome(seen, None) for seen in found]
+        elif unknown:
+            prn = min(unknown, key=lambda p: (self._tried.get(p, -1), p))
+            self._tried[prn] = first
+            few = len(tracked) + elsewhere < settings.few
+            outcomes = [self._blind_search(feed, first, prn, few, executor)]
+        pause_s = settings.blind_unplaced_s if known.place is None else settings.blind_every_s
+        if changes_often(self._signal):  # such a search costs several times as much
+            pause_s *= _BLIND_CHANGING
+        self._next_blind = first + round(pause_s * self._rate)
+        self._began = True
         return outcomes
 
     def _cold_search(
