@@ -118,6 +118,17 @@ def _corrected(q_nb_estimated: FloatArray, phi_n_rad: FloatArray) -> FloatArray:
     return np.array(normalized(product(back, (e[0], e[1], e[2], e[3]))))
 
 
+@kernel
+def _euler_rad(q_nb: FloatArray) -> FloatArray:
+    """As `euler_rad`, of one attitude (4,)."""
+    C = matrix((q_nb[0], q_nb[1], q_nb[2], q_nb[3]))
+    level = np.hypot(C[2][1], C[2][2])
+    pitch = np.arctan2(-C[2][0], level)
+    if level > 1e-9:
+        return np.array([np.arctan2(C[2][1], C[2][2]), pitch, np.arctan2(C[1][0], C[0][0])])
+    return np.array([0.0, pitch, np.arctan2(-C[0][1], C[1][1])])
+
+
 # --- over arrays: components on the last axis -----------------------------------------------------
 
 
@@ -219,6 +230,8 @@ def matrix_from_euler(euler_rad: FloatArray) -> FloatArray:
 
 def euler_rad(q_nb: FloatArray) -> FloatArray:
     """Roll, pitch, yaw (..., 3) of q_nb (..., 4): ±π, ±π/2, ±π; roll is 0 where pitch is ±π/2."""
+    if q_nb.ndim == 1:
+        return _euler_rad(q_nb)
     C = rotation_matrix(q_nb)
     level = np.hypot(C[..., 2, 1], C[..., 2, 2])
     upright = level > 1e-9  # else only yaw ∓ roll is known

@@ -14,6 +14,7 @@ from scipy.linalg.lapack import dposv
 from scipy.special import chdtri
 
 from deepgnss.core.errors import NumericalError
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.records import FloatArray
 
 
@@ -34,12 +35,37 @@ def correct(
     Parameters: x (n,), P (n, n), z (m,), H (m, n), R (m, m). Raises NumericalError when the
     innovation's covariance is not positive or anything is not finite.
     """
-    innovation, PHt = z - H @ x, P @ H.T
-    weighed = _weighed(H @ PHt + R, np.column_stack([innovation, PHt.T]))
+    x, P, z, H, R = (np.ascontiguousarray(array) for array in (x, P, z, H, R))
+    innovation, S, columns = _expected(x, P, z, H, R)
+    weighed = _weighed(S, columns)
     nis, K = float(innovation @ weighed[:, 0]), weighed[:, 1:].T
+    return Correction(*_joseph(x, P, K, innovation, H, R), innovation, nis)
+
+
+@brief_kernel
+def _expected(
+    x: FloatArray, P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """z − H·x, its covariance S = H·P·Hᵀ + R, and z − H·x and H·P side by side, (m, 1 + n)."""
+    innovation, PHt = z - H @ x, P @ H.T
+    columns = np.empty((z.size, 1 + x.size))
+    columns[:, 0], columns[:, 1:] = innovation, PHt.T
+    return innovation, H @ PHt + R, columns
+
+
+@brief_kernel
+def _joseph(
+    x: FloatArray,
+    P: FloatArray,
+    K: FloatArray,
+    innovation: FloatArray,
+    H: FloatArray,
+    R: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """x and P with a gain K (n, m), P in Joseph's form: symmetric and positive with any gain."""
     remaining = np.eye(x.size) - K @ H
     after = remaining @ P @ remaining.T + K @ R @ K.T
-    return Correction(x + K @ innovation, 0.5 * (after + after.T), innovation, nis)
+    return x + K @ innovation, 0.5 * (after + after.T)
 
 
 def squared_innovation(
@@ -52,12 +78,17 @@ def squared_innovation(
 
 def _weighed(S: FloatArray, columns: FloatArray) -> FloatArray:
     """S⁻¹ times columns, the innovation among them, by the Cholesky factor of its covariance S."""
-    if not (np.isfinite(columns).all() and np.isfinite(S).all()):
+    if not _finite(S, columns):
         raise NumericalError("innovation or its covariance is not finite")
     _, solved, info = dposv(S, columns, lower=True)  # SciPy's front ends take as long again
     if info > 0:
         raise NumericalError(f"innovation covariance is not positive: row {info} of its factor")
     return np.asarray(solved)
+
+
+@brief_kernel
+def _finite(S: FloatArray, columns: FloatArray) -> bool:
+    return bool(np.isfinite(columns).all() and np.isfinite(S).all())
 
 
 @lru_cache(maxsize=64)
@@ -68,8 +99,14 @@ def innovation_limit(degrees: int, false_alarm: float) -> float:
 
 def check_covariance(P: FloatArray) -> None:
     """Raise NumericalError unless P is finite and positive definite."""
-    scale = np.sqrt(np.diagonal(P))
-    try:  # scaled to correlations: metres and rad/s side by side
-        np.linalg.cholesky(P / np.outer(scale, scale))
+    try:
+        _factor_of_correlations(P)
     except np.linalg.LinAlgError as error:
         raise NumericalError(f"covariance is not positive definite: {error}") from error
+
+
+@brief_kernel
+def _factor_of_correlations(P: FloatArray) -> FloatArray:
+    """Cholesky factor of P scaled to correlations: it has metres and rad/s side by side."""
+    scale = np.sqrt(np.diag(P))
+    return np.linalg.cholesky(P / np.outer(scale, scale))

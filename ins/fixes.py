@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepgnss.core.frames import C_ne, geodetic
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.records import FloatArray, NavSolution
 from deepgnss.core.time import GpsTime
 
@@ -71,11 +72,21 @@ class WheelSpeeds:
 def fix_of(solution: NavSolution) -> GnssFix:
     """Fix of a valid navigation solution."""
     lat_rad, lon_rad, _ = geodetic(solution.r_e_m)
-    to_n = C_ne(lat_rad, lon_rad)
-    return GnssFix(
-        solution.time,
-        solution.r_e_m,
-        to_n @ solution.covariance_m2[:3, :3] @ to_n.T,
-        to_n @ solution.v_e_mps,
-        to_n @ solution.velocity_covariance_m2ps2[:3, :3] @ to_n.T,
+    covariance_n_m2, v_n_mps, velocity_covariance_n_m2ps2 = _local(
+        C_ne(lat_rad, lon_rad),
+        solution.covariance_m2,
+        solution.v_e_mps,
+        solution.velocity_covariance_m2ps2,
     )
+    return GnssFix(
+        solution.time, solution.r_e_m, covariance_n_m2, v_n_mps, velocity_covariance_n_m2ps2
+    )
+
+
+@brief_kernel
+def _local(
+    to_n: FloatArray, C: FloatArray, v_e_mps: FloatArray, V: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of the places of (4, 4) the covariance, velocity, and of (4, 4) its covariance, in NED."""
+    turned_C = to_n @ C[:3, :3].copy() @ to_n.T
+    return turned_C, to_n @ v_e_mps, to_n @ V[:3, :3].copy() @ to_n.T

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.records import FloatArray, ImuBlock
 
 SAME_INSTANT_S: Final = 1e-8
@@ -69,21 +71,34 @@ def between(block: ImuBlock, start_s: float, end_s: float = np.inf) -> ImuBlock:
     part = rows(block, first, max(first, end))
     if part.time_s.size == 0:
         return part
-    since, until = part.time_s - part.dt_s, part.time_s.copy()
-    if since[0] < start_s - SAME_INSTANT_S:
-        since[0] = start_s
-    if until[-1] > end_s + SAME_INSTANT_S:
-        until[-1] = end_s
-    kept = np.ones(until.size)
-    for row in {0, until.size - 1}:
-        kept[row] = min(1.0, (until[row] - since[row]) / part.dt_s[row])
-    return replace(
-        part,
-        time_s=until,
-        dt_s=part.dt_s * kept,
-        dtheta_b_rad=part.dtheta_b_rad * kept[:, np.newaxis],
-        dv_b_mps=part.dv_b_mps * kept[:, np.newaxis],
-    )
+    columns = part.time_s, part.dt_s, part.dtheta_b_rad, part.dv_b_mps
+    return ImuBlock(block.origin, *_cut(*columns, start_s, end_s))
+
+
+@brief_kernel
+def _cut(
+    time_s: FloatArray,
+    dt_s: FloatArray,
+    dtheta_b_rad: FloatArray,
+    dv_b_mps: FloatArray,
+    start_s: float,
+    end_s: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Columns of a block whose first and last increment count by their share of a stretch."""
+    until_s, kept_s = time_s.copy(), dt_s.copy()
+    turned, gained = dtheta_b_rad.copy(), dv_b_mps.copy()
+    last = time_s.size - 1
+    if until_s[last] > end_s + SAME_INSTANT_S:
+        until_s[last] = end_s
+    for row in range(0, last + 1, max(last, 1)):  # the first and the last
+        since_s = time_s[row] - dt_s[row]
+        if row == 0 and since_s < start_s - SAME_INSTANT_S:
+            since_s = start_s
+        share = min(1.0, (until_s[row] - since_s) / dt_s[row])
+        kept_s[row] *= share
+        turned[row] *= share
+        gained[row] *= share
+    return until_s, kept_s, turned, gained
 
 
 def gaps(block: ImuBlock, start_s: float, usual_s: float) -> list[tuple[int, Gap]]:
@@ -91,12 +106,23 @@ def gaps(block: ImuBlock, start_s: float, usual_s: float) -> list[tuple[int, Gap
 
     A stretch counts from half the usual interval on; less is the jitter of time stamps.
     """
-    before = np.concatenate([[start_s], block.time_s[:-1]])
-    missing_s = block.time_s - block.dt_s - before
     return [
-        (int(row), Gap(float(before[row]), float(before[row] + missing_s[row])))
-        for row in np.flatnonzero(missing_s > 0.5 * usual_s)
+        (int(row), Gap(float(before_s), float(before_s + missing_s)))
+        for row, before_s, missing_s in zip(
+            *_missing(block.time_s, block.dt_s, start_s, 0.5 * usual_s), strict=True
+        )
     ]
+
+
+@brief_kernel
+def _missing(
+    time_s: FloatArray, dt_s: FloatArray, start_s: float, least_s: float
+) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """Rows ahead of which more than the least is missing, since when, and how long."""
+    before_s = np.append(start_s, time_s)[: time_s.size]
+    missing_s = time_s - dt_s - before_s
+    rows = np.flatnonzero(missing_s > least_s)
+    return rows, before_s[rows], missing_s[rows]
 
 
 def bridge(block: ImuBlock, row: int, gap: Gap, before: Reading | None) -> ImuBlock:

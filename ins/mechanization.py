@@ -79,27 +79,28 @@ NOTHING_BEFORE = Increment(1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 def pose_of(state: InsState) -> Pose:
     """Position, velocity and attitude of a navigation state."""
     return Pose(
-        state.lat_rad, state.lon_rad, state.height_m, _triple(state.v_n_mps), _quadruple(state.q_nb)
+        state.lat_rad, state.lon_rad, state.height_m, triple(state.v_n_mps), _quadruple(state.q_nb)
     )
 
 
 def calibration_of(state: InsState) -> Calibration:
     """Sensor errors of a navigation state."""
     return Calibration(
-        _triple(state.gyro_bias_radps),
-        _triple(state.accel_bias_mps2),
-        _triple(state.gyro_scale),
-        _triple(state.accel_scale),
+        triple(state.gyro_bias_radps),
+        triple(state.accel_bias_mps2),
+        triple(state.gyro_scale),
+        triple(state.accel_scale),
     )
 
 
-def _triple(values: FloatArray) -> Vector:
-    x, y, z = (float(value) for value in values)
+def triple(values: FloatArray) -> Vector:
+    """Three numbers (3,) as kernels carry them."""
+    x, y, z = values.tolist()
     return x, y, z
 
 
 def _quadruple(values: FloatArray) -> Quaternion:
-    w, x, y, z = (float(value) for value in values)
+    w, x, y, z = values.tolist()
     return w, x, y, z
 
 

@@ -15,8 +15,16 @@ from typing import Final
 
 import numpy as np
 
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.records import FloatArray, ImuBlock, InsState
-from deepgnss.ins.error_model import ATTITUDE, POSITION, VELOCITY, ProcessNoise, transition
+from deepgnss.ins.error_model import (
+    ATTITUDE,
+    POSITION,
+    VELOCITY,
+    ProcessNoise,
+    predicted,
+    transition,
+)
 from deepgnss.ins.error_state import Estimate
 from deepgnss.ins.increments import (
     LONGEST_BRIDGE_S,
@@ -37,6 +45,7 @@ from deepgnss.ins.mechanization import (
     calibration_of,
     mechanize,
     pose_of,
+    triple,
     without_errors,
 )
 from deepgnss.ins.trajectory import Trajectory
@@ -168,12 +177,7 @@ class InsNavigator:
 def _freed(reading: Reading | None, calibration: Calibration) -> Increment:
     if reading is None:
         return NOTHING_BEFORE
-    dtheta, dv = reading.dtheta_b_rad, reading.dv_b_mps
-    raw = Increment(
-        reading.dt_s,
-        (float(dtheta[0]), float(dtheta[1]), float(dtheta[2])),
-        (float(dv[0]), float(dv[1]), float(dv[2])),
-    )
+    raw = Increment(reading.dt_s, triple(reading.dtheta_b_rad), triple(reading.dv_b_mps))
     return without_errors(raw, calibration)
 
 
@@ -190,14 +194,15 @@ def _steps(start_s: float, block: ImuBlock, step_s: float) -> list[tuple[int, in
     return list(zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True))
 
 
+@brief_kernel
 def _carried(P: FloatArray, Phi: FloatArray, Q: FloatArray) -> FloatArray:
     """Φ·P·Φᵀ + Q, with errors behind the inertial ones standing still."""
     states = Phi.shape[0]
+    inertial, beside = P[:states, :states].copy(), P[:states, states:].copy()
     later = P.copy()
-    later[:states, states:] = Phi @ P[:states, states:]
+    later[:states, :states] = predicted(inertial, Phi, Q)
+    later[:states, states:] = Phi @ beside
     later[states:, :states] = later[:states, states:].T
-    inertial = Phi @ P[:states, :states] @ Phi.T + Q
-    later[:states, :states] = 0.5 * (inertial + inertial.T)
     return later
 
 

@@ -29,7 +29,7 @@ from deepgnss.core.earth import (
 )
 from deepgnss.core.errors import NumericalError
 from deepgnss.core.frames import q_en
-from deepgnss.core.jit import kernel
+from deepgnss.core.jit import brief_kernel, kernel
 from deepgnss.core.records import FloatArray
 from deepgnss.core.time import GpsTime
 from deepgnss.ins.error_model import ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, cross_matrix
@@ -108,33 +108,28 @@ class Trajectory:
 
         A variance grows convexly between corrections, so the line lies on or above it.
         """
-        t, nodes = self._inside(time_s), self.covariance_time_s
-        row = np.clip(np.searchsorted(nodes, t, side="right"), 1, nodes.size - 1)
-        share = ((t - nodes[row - 1]) / (nodes[row] - nodes[row - 1]))[:, np.newaxis, np.newaxis]
-        between: FloatArray = (1.0 - share) * self.covariances[row - 1]
-        return between + share * self.covariances[row]
+        return _between(self.covariance_time_s, self.covariances, self._inside(time_s))
 
     def antenna_covariance(self, time_s: FloatArray, lever_b_m: FloatArray) -> FloatArray:
         """Covariance (k, 6, 6) of position (NED) and velocity (NED) of a point at a lever arm.
 
         To the first order in attitude and gyro bias; without the frame's own rate (1e-4 rad/s).
         """
-        P = self.covariance(time_s)
-        *_, q_nb, omega_ib_b_radps = self._poses(self._inside(time_s))
+        t = self._inside(time_s)
+        P = _between(self.covariance_time_s, self.covariances, t)
+        *_, q_nb, omega_ib_b_radps = self._poses(t)
         H = _slopes(q_nb, omega_ib_b_radps, lever_b_m, P.shape[-1])
         return H @ P @ np.swapaxes(H, -1, -2)
 
     def _inside(self, time_s: FloatArray) -> FloatArray:
         t = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
-        first, last = self.time_s[0], self.time_s[-1]
-        if self.time_s.size < 2 or not (
-            first - SAME_INSTANT_S <= t.min() and t.max() <= last + SAME_INSTANT_S
-        ):
+        inside, there = _clipped(t, self.time_s[0], self.time_s[-1])
+        if self.time_s.size < 2 or not there:
             raise NumericalError(
                 f"trajectory asked for at {t.min():.6f} … {t.max():.6f} s: it has increments"
-                f" from {first:.6f} to {last:.6f} s"
+                f" from {self.time_s[0]:.6f} to {self.time_s[-1]:.6f} s"
             )
-        return np.clip(t, first, last)
+        return inside
 
     def _poses(
         self, t: FloatArray
@@ -160,6 +155,27 @@ class Trajectory:
     @cached_property
     def _velocities(self) -> CubicSpline:
         return CubicSpline(self.time_s, self.v_n_mps)
+
+
+@brief_kernel
+def _clipped(t: FloatArray, first_s: float, last_s: float) -> tuple[FloatArray, bool]:
+    """Instants (k,) within a stretch, and whether they were, but for the rounding of instants."""
+    inside, there = np.empty(t.size), True
+    for k in range(t.size):
+        there = there and first_s - SAME_INSTANT_S <= t[k] <= last_s + SAME_INSTANT_S
+        inside[k] = min(max(t[k], first_s), last_s)
+    return inside, there
+
+
+@brief_kernel
+def _between(nodes_s: FloatArray, matrices: FloatArray, t: FloatArray) -> FloatArray:
+    """Matrices (k, n, n) at instants (k,), linear between those (c, n, n) at nodes (c,)."""
+    found = np.empty((t.size, *matrices.shape[1:]))
+    for k in range(t.size):
+        row = min(max(int(np.searchsorted(nodes_s, t[k], side="right")), 1), nodes_s.size - 1)
+        share = (t[k] - nodes_s[row - 1]) / (nodes_s[row] - nodes_s[row - 1])
+        found[k] = (1.0 - share) * matrices[row - 1] + share * matrices[row]
+    return found
 
 
 @kernel
