@@ -61,9 +61,11 @@ class CodeLessPhase:
     def off_m(self, one_m: float, cn0_dbhz: float) -> float:
         """By how much a code is too long for its phase; 0 within what its noise explains."""
         least_m, sigmas = _FAR
-        limit_m = math.hypot(least_m, sigmas * _CODE_M * 10.0 ** ((45.0 - cn0_dbhz) / 20.0))
         off_m = one_m - self.mean_m
-        return off_m if self.known and abs(off_m) > limit_m else 0.0
+        if not self.known or abs(off_m) <= least_m:
+            return 0.0
+        limit_m = math.hypot(least_m, sigmas * _CODE_M * 10.0 ** ((45.0 - cn0_dbhz) / 20.0))
+        return off_m if abs(off_m) > limit_m else 0.0
 
 
 @dataclass(slots=True)

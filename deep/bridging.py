@@ -15,9 +15,11 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS, STANDARD_GRAVITY_MPS2
 from deepgnss.core.errors import NumericalError
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.records import SIGNAL_IDS, FloatArray, Observation, Oscillator
 from deepgnss.deep.aiding import Skyline
 from deepgnss.deep.arcs import REST, Arc, Name, Slip, verdict
@@ -171,14 +173,15 @@ class Bridge:
             self._carry(self._filter, tag, skyline)
         self._now_s, self._model_m = leg.end_s, SPEED_OF_LIGHT_MPS * tag.model_s
         known, seen = self._filter, self._seen(tag)
-        jump_m, slips, outside = self._believe(known, tag, seen, skyline)
+        sights = self._sights(skyline, leg.end_s, tag.C_ne)
+        jump_m, slips, outside = self._believe(known, tag, seen, sights)
         for _, z_mps, H, R, *_ in leg.rolled:
             known.take_velocities(z_mps, H, np.diagonal(R))
-        self._begin(known, tag, seen, skyline)
+        if self._begin(known, tag, seen, skyline):
+            sights = self._sights(skyline, leg.end_s, tag.C_ne)
         known.shift(leg.correction)
         if known.velocity_variance_m2ps2 > _WORSE * np.trace(tag.P[VELOCITY, VELOCITY]):
             known.restart_errors(tag.P)
-        sights = self._sights(skyline, leg.end_s, tag.C_ne)
         known.rest_way(sights.toward_n)
         moves = self._moves(known, tag.coasting, sights)
         bent_m = self._bent_codes(seen)
@@ -208,8 +211,8 @@ class Bridge:
         )
         sights = self._sights(skyline, 0.5 * (leg.begin_s + leg.end_s), tag.C_ne)
         longer_m = seconds * sights.rate_mps - sights.toward_n @ (tag.C_ne @ leg.moved_e_m)
-        for arc, one_m in zip(self._arcs, longer_m, strict=True):
-            arc.range_m += float(one_m)
+        for arc, one_m in zip(self._arcs, longer_m.tolist(), strict=True):
+            arc.range_m += one_m
         walk_mps = _UNMODELLED[0] * math.sqrt(2.0 * seconds / _LASTING_S)
         force_g = float(np.linalg.norm(leg.gained_e_mps)) / seconds / STANDARD_GRAVITY_MPS2
         shaken_mps = SPEED_OF_LIGHT_MPS * self._oscillator.g_sensitivity * force_g
@@ -226,17 +229,11 @@ class Bridge:
 
     def _sights(self, skyline: Skyline, time_s: float, C_ne: FloatArray) -> _Sights:
         """Where the arcs come from at an instant; axes of rest stay themselves."""
-        rates, toward_e = skyline.sights.at(time_s)
-        names = [arc.name for arc in self._arcs]
-        rows = np.array([skyline.row.get(satellite, -1) for satellite, _ in names], dtype=np.int64)
-        sky, count = rows >= 0, len(names)
-        rows = rows[sky]
-        sights = _Sights(np.zeros(count), np.zeros((count, 3)), sky.astype(np.float64))
-        sights.rate_mps[sky] = rates[0, rows]
-        sights.toward_n[sky] = toward_e[0, rows] @ C_ne.T
-        for axis, name in enumerate(REST):
-            if name in names:
-                sights.toward_n[names.index(name), axis] = 1.0
+        rows = [skyline.row.get(arc.name[0], -1) for arc in self._arcs]
+        sights = _Sights(*_seen_from(*skyline.sights, np.array(rows, dtype=np.int64), time_s, C_ne))
+        for k, row in enumerate(rows):
+            if row < 0 and self._arcs[k].name in REST:
+                sights.toward_n[k, REST.index(self._arcs[k].name)] = 1.0
         return sights
 
     def _keep(self, known: PhaseFilter, kept: Sequence[bool]) -> None:
@@ -266,12 +263,11 @@ class Bridge:
         return found
 
     def _believe(
-        self, known: PhaseFilter, tag: Tag, seen: Mapping[Name, _Seen], skyline: Skyline
+        self, known: PhaseFilter, tag: Tag, seen: Mapping[Name, _Seen], sights: _Sights
     ) -> tuple[float | None, tuple[Slip, ...], frozenset[str]]:
         """Take in the phases that agree with the prediction and with each other; judge the rest."""
         now_s = tag.leg.end_s
         rows = [k for k, arc in enumerate(self._arcs) if arc.name in seen]
-        sights = self._sights(skyline, now_s, tag.C_ne)
         H = known.rows(sights.toward_n, sights.clocked)[rows]
         arcs = [self._arcs[k] for k in rows]
         y_m = np.array([seen[arc.name].phase_m - arc.range_m for arc in arcs])
@@ -334,8 +330,8 @@ class Bridge:
 
     def _begin(
         self, known: PhaseFilter, tag: Tag, seen: Mapping[Name, _Seen], skyline: Skyline
-    ) -> None:
-        """New arcs begin at the tag; those nobody hears of any more have ended."""
+    ) -> bool:
+        """New arcs begin at the tag, those nobody hears of any more have ended; any of these."""
         now_s = tag.leg.end_s
         told = {(one.satellite, one.arc) for one in tag.coasting if one.carrier_valid} | seen.keys()
         others = {satellite for satellite, _ in told}
@@ -347,16 +343,17 @@ class Bridge:
             and (arc.name in REST or arc.name[0] in others or now_s - arc.heard_s >= _STALE_S)
             for arc in self._arcs
         ]
-        self._lay_by([arc for arc, over in zip(self._arcs, ended, strict=True) if over])
-        self._keep(
-            known, [arc.past or not over for arc, over in zip(self._arcs, ended, strict=True)]
-        )
+        if any(ended):
+            self._lay_by([arc for arc, over in zip(self._arcs, ended, strict=True) if over])
+            self._keep(
+                known, [arc.past or not over for arc, over in zip(self._arcs, ended, strict=True)]
+            )
         there = {arc.name for arc in self._arcs}
         fresh = [
             name for name in seen if name not in there and (name in REST or name[0] in skyline.row)
         ]
         if not fresh:
-            return
+            return any(ended)
         first = len(self._arcs)
         self._arcs += [
             Arc(name, seen[name].wavelength_m, now_s, now_s, now_s, upright=seen[name].upright)
@@ -370,6 +367,7 @@ class Bridge:
             sights.toward_n[first:],
             sights.clocked[first:],
         )
+        return True
 
     # --- one arc after the other ---------------------------------------------------------------
 
@@ -472,6 +470,27 @@ class Bridge:
                 math.sqrt(variance_m2[k]) / arc.wavelength_m,
             )
         return moves
+
+
+@brief_kernel
+def _seen_from(
+    ends_s: FloatArray,
+    rate_mps: FloatArray,
+    toward_e: FloatArray,
+    rows: NDArray[np.int64],
+    time_s: float,
+    C_ne: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fields of `_Sights` at an instant, by those at the ends of an epoch; rows (k,), −1: none."""
+    share = (time_s - ends_s[0]) / (ends_s[1] - ends_s[0])
+    rates, towards, clocked = np.zeros(rows.size), np.zeros((rows.size, 3)), np.zeros(rows.size)
+    for k in range(rows.size):
+        row = rows[k]
+        if row >= 0:
+            rates[k] = rate_mps[0, row] + share * (rate_mps[1, row] - rate_mps[0, row])
+            towards[k] = toward_e[0, row] + share * (toward_e[1, row] - toward_e[0, row])
+            clocked[k] = 1.0
+    return rates, towards @ C_ne.T, clocked
 
 
 def _unmodelled_mps(name: Name, skyline: Skyline) -> float:

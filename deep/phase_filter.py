@@ -20,13 +20,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from statistics import median
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.records import FloatArray, Oscillator
 from deepgnss.ins.error_model import POSITION
 from deepgnss.ins.filter import correct
@@ -135,41 +135,18 @@ class PhaseFilter:
         Phi, Q (n, n) of the errors in between; variances that come on top, those of arcs (arcs,).
         """
         base, errors, clock = self._base, self._errors, self._clock
-        own, own_rate = self._own, self._own_rate
         F, added = np.eye(base), np.zeros((base, base))
         F[_WAY, errors] = (H_end @ Phi - H_begin)[:, _FROM:]
         F[errors, errors] = Phi[_FROM:, _FROM:]
         into = np.vstack([H_end, np.eye(Phi.shape[0])[_FROM:]])
         added[: errors.stop, : errors.stop] = into @ Q @ into.T
-        F[clock:, clock:], added[clock:, clock:] = self._clock_transition(seconds)
+        F[clock:, clock:], added[clock:, clock:] = _clock_transition(
+            seconds, self._oscillator.h0_s, self._oscillator.h_2_hz, self._flicker_mps2
+        )
         added[clock, clock] += clock_shaken_m2
-        self.mean[:base] = F @ self.mean[:base]
-        self.mean[own] += seconds * self.mean[own_rate]
-        P = self.P
-        P[:base] = F @ P[:base]
-        P[:, :base] = P[:, :base] @ F.T
-        P[own] += seconds * P[own_rate]
-        P[:, own] += seconds * P[:, own_rate]
-        P[:base, :base] += added
-        np.einsum("ii->i", P)[own] += arcs_walk_m2
-        np.einsum("ii->i", P)[own_rate] += rates_walk_m2ps2
-        self.P = 0.5 * (P + P.T)
-
-    def _clock_transition(self, seconds: float) -> tuple[FloatArray, FloatArray]:
-        """Phase by white noise of frequency, frequency by its random walk and by flicker."""
-        size = 2 + _FLICKER_S.size
-        kept = np.exp(-seconds / _FLICKER_S)
-        F, Q = np.eye(size), np.zeros((size, size))
-        F[0, 1] = seconds
-        F[0, 2:] = _FLICKER_S * (1.0 - kept)
-        F[range(2, size), range(2, size)] = kept
-        white = SPEED_OF_LIGHT_MPS**2 * self._oscillator.h0_s / 2.0
-        walk = SPEED_OF_LIGHT_MPS**2 * 2.0 * math.pi**2 * self._oscillator.h_2_hz
-        drawn = np.concatenate([[walk * seconds], self._flicker_mps2 * (1.0 - kept**2)])
-        Q[range(1, size), range(1, size)] = drawn
-        Q[0, 1:] = Q[1:, 0] = 0.5 * seconds * drawn  # each comes evenly over the step
-        Q[0, 0] = white * seconds + np.sum(drawn) * seconds**2 / 3.0
-        return F, Q
+        walks = np.zeros(self.mean.size)
+        walks[self._own], walks[self._own_rate] = arcs_walk_m2, rates_walk_m2ps2
+        self.mean, self.P = _carried(self.mean, self.P, F, added, walks, seconds)
 
     def shift(self, correction: FloatArray) -> None:
         """The navigation's errors have changed by (n,); its way so far has not."""
@@ -291,6 +268,60 @@ class PhaseFilter:
         return y_m - H @ self.mean, H @ self.P @ H.T + np.diag(variance_m2)
 
 
+@brief_kernel
+def _clock_transition(
+    seconds: float, h0_s: float, h_2_hz: float, flicker_mps2: float
+) -> tuple[FloatArray, FloatArray]:
+    """Phase by white noise of frequency, frequency by its random walk and by flicker."""
+    size = 2 + _FLICKER_S.size
+    kept = np.exp(-seconds / _FLICKER_S)
+    F = np.eye(size)
+    F[0, 1] = seconds
+    F[0, 2:] = _FLICKER_S * (1.0 - kept)
+    white = SPEED_OF_LIGHT_MPS**2 * h0_s / 2.0
+    walk = SPEED_OF_LIGHT_MPS**2 * 2.0 * math.pi**2 * h_2_hz
+    drawn = np.empty(size - 1)
+    drawn[0], drawn[1:] = walk * seconds, flicker_mps2 * (1.0 - kept**2)
+    Q = np.zeros((size, size))
+    Q[0, 0] = white * seconds + np.sum(drawn) * seconds**2 / 3.0
+    Q[0, 1:] = Q[1:, 0] = 0.5 * seconds * drawn  # each comes evenly over the step
+    for k in range(1, size):
+        Q[k, k] = drawn[k - 1]
+        if k > 1:
+            F[k, k] = kept[k - 2]
+    return F, Q
+
+
+@brief_kernel
+def _carried(
+    mean: FloatArray,
+    P: FloatArray,
+    F: FloatArray,
+    added: FloatArray,
+    walks: FloatArray,
+    seconds: float,
+) -> tuple[FloatArray, FloatArray]:
+    """State and covariance so many seconds later: what the arcs have in common by F, then the arcs.
+
+    F, added (b, b): transition and noise of the first b; walks (n,): variances that come on top.
+    Behind them errors b and their growth r take turns: b + seconds·r.
+    """
+    base = F.shape[0]
+    own, own_rate = slice(base, mean.size, 2), slice(base + 1, mean.size, 2)
+    mean, P = mean.copy(), P.copy()
+    mean[:base] = F @ mean[:base]
+    mean[own] += seconds * mean[own_rate]
+    P[:base] = F @ P[:base]
+    P[:, :base] = P[:, :base].copy() @ F.T
+    P[own] += seconds * P[own_rate]
+    P[:, own] += seconds * P[:, own_rate]
+    P[:base, :base] += added
+    for k in range(base, mean.size):
+        P[k, k] += walks[k]
+    return mean, 0.5 * (P + P.T)
+
+
+@brief_kernel
 def sound(innovation: FloatArray, covariance: FloatArray, limit: float) -> Chosen:
     """Which of (k,) agree with the prediction and with each other.
 
@@ -299,8 +330,8 @@ def sound(innovation: FloatArray, covariance: FloatArray, limit: float) -> Chose
     """
     kept = np.ones(innovation.size, dtype=np.bool_)
     while kept.any():
-        inverse = np.linalg.inv(covariance[np.ix_(kept, kept)])
-        away = np.abs(inverse @ innovation[kept]) / np.sqrt(np.diagonal(inverse))
+        inverse = np.linalg.inv(covariance[kept][:, kept])
+        away = np.abs(inverse @ innovation[kept]) / np.sqrt(np.diag(inverse))
         worst = int(np.argmax(away))
         if away[worst] <= limit:
             break
@@ -312,9 +343,14 @@ def common_jump(innovation: FloatArray, covariance: FloatArray, limit: float) ->
     """What most of three or more have in common beyond the prediction, None if nothing."""
     if innovation.size < 3:
         return None
-    middle = median(innovation.tolist())
-    sigma = np.sqrt(np.diagonal(covariance))
+    middle, share = _in_common(innovation, covariance, limit)
+    return middle if share > 0.6 else None
+
+
+@brief_kernel
+def _in_common(innovation: FloatArray, covariance: FloatArray, limit: float) -> tuple[float, float]:
+    """Their median, and the share of them beyond the prediction that lies near it."""
+    middle, sigma = np.median(innovation), np.sqrt(np.diag(covariance))
     jumped = np.abs(innovation) > limit * sigma
     alike = np.abs(innovation - middle) < limit * sigma
-    most = 0.6 * innovation.size
-    return middle if np.sum(jumped & alike) > most else None
+    return middle, np.mean(jumped & alike)  # type: ignore[return-value]
