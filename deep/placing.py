@@ -26,7 +26,7 @@ import numpy as np
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne, geodetic
-from deepgnss.core.linear import inverse
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.records import FloatArray, NavSolution
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.navigation import LASTING_M, Antenna, NavigationState
@@ -72,17 +72,10 @@ class Placing:
 
 def _weighed(found: NavSolution, place: Place, together: float) -> NavSolution:
     """A plain adjustment with less weight on its ranges; formulas at the top."""
-    C1, P = found.covariance_m2, place.covariance_m2
-    both, prior = inverse(C1[:3, :3].copy()), inverse(P)
-    C = inverse(prior + (both - prior) / together)
-    C = 0.5 * (C + C.T)
-    r_e_m = place.r_e_m + C @ both @ (found.r_e_m - place.r_e_m) / together
+    r_e_m, clock_m, covariance = _less_news(
+        found.r_e_m, found.covariance_m2, place.r_e_m, place.covariance_m2, together
+    )
     moved_m = r_e_m - found.r_e_m
-    g = both @ C1[:3, 3]
-    clock_m = float(g @ moved_m)
-    covariance = np.empty((4, 4))
-    covariance[:3, :3], covariance[:3, 3], covariance[3, :3] = C, C @ g, C @ g
-    covariance[3, 3] = C1[3, 3] - C1[3, :3] @ g + g @ C @ g
     return replace(
         found,
         r_e_m=r_e_m,
@@ -90,6 +83,26 @@ def _weighed(found: NavSolution, place: Place, together: float) -> NavSolution:
         covariance_m2=covariance,
         residuals_m=_moved(found, moved_m, clock_m),
     )
+
+
+@brief_kernel
+def _less_news(
+    r_1_e_m: FloatArray,
+    C1: FloatArray,
+    prior_e_m: FloatArray,
+    P: FloatArray,
+    together: float,
+) -> tuple[FloatArray, float, FloatArray]:
+    """Place x (3,), by how much the clock moves, m, and covariance (4, 4) of both."""
+    both, prior = np.linalg.inv(C1[:3, :3].copy()), np.linalg.inv(P)
+    C = np.linalg.inv(prior + (both - prior) / together)
+    C = 0.5 * (C + C.T)
+    r_e_m = prior_e_m + C @ both @ (r_1_e_m - prior_e_m) / together
+    g = both @ C1[:3, 3].copy()
+    covariance = np.empty((4, 4))
+    covariance[:3, :3], covariance[:3, 3], covariance[3, :3] = C, C @ g, C @ g
+    covariance[3, 3] = C1[3, 3] - C1[3, :3].copy() @ g + g @ C @ g
+    return r_e_m, float(g @ (r_e_m - r_1_e_m)), covariance
 
 
 def _moved(found: NavSolution, moved_m: FloatArray, clock_m: float) -> dict[str, float]:
@@ -109,7 +122,7 @@ def horizontal_sigma_m(covariance_m2: FloatArray, r_e_m: FloatArray) -> float:
     """1σ of a position in the horizontal plane, north and east together, of its covariance."""
     lat_rad, lon_rad, _ = geodetic(r_e_m)
     level = C_ne(lat_rad, lon_rad)[:2]
-    return float(np.sqrt(np.trace(level @ covariance_m2[:3, :3] @ level.T)))
+    return math.sqrt(np.trace(level @ covariance_m2[:3, :3] @ level.T))
 
 
 def _place(expected: Antenna) -> Place:

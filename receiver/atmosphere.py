@@ -25,6 +25,7 @@ TYPICAL_KLOBUCHAR: Final = Klobuchar(
 all while none has been received; RTKLIB assumes the same."""
 
 
+@brief_kernel
 def klobuchar_delay(
     coefficients: Klobuchar,
     lat_rad: float,
@@ -42,8 +43,9 @@ def klobuchar_delay(
     Parameters: azimuth and elevation, shape (k,); tow_s, GPST.
     Source: IS-GPS-200 20.3.3.5.2.5, scaled by (L1/f)².
     """
-    at_l1_s = _klobuchar(*coefficients, lat_rad, lon_rad, azimuth_rad, elevation_rad, tow_s)
-    return np.asarray(SPEED_OF_LIGHT_MPS * at_l1_s * (GPS_L1CA.carrier_hz / carrier_hz) ** 2)
+    alpha, beta = coefficients
+    at_l1_s = _klobuchar(alpha, beta, lat_rad, lon_rad, azimuth_rad, elevation_rad, tow_s)
+    return SPEED_OF_LIGHT_MPS * at_l1_s * (GPS_L1CA.carrier_hz / carrier_hz) ** 2
 
 
 @brief_kernel
@@ -78,6 +80,7 @@ def _cubic(coefficients: _Four, x: float) -> float:
     return a + x * (b + x * (c + x * d))
 
 
+@brief_kernel
 def beidou_klobuchar_delay(
     coefficients: Klobuchar,
     lat_rad: float,
@@ -95,8 +98,9 @@ def beidou_klobuchar_delay(
 
     Source: BDS-SIS-ICD B1I 5.2.4.7; tow_s, GPST.
     """
-    at_b1i_s = _beidou_klobuchar(*coefficients, lat_rad, lon_rad, azimuth_rad, elevation_rad, tow_s)
-    return np.asarray(SPEED_OF_LIGHT_MPS * at_b1i_s * (BDS_B1I.carrier_hz / carrier_hz) ** 2)
+    alpha, beta = coefficients
+    at_b1i_s = _beidou_klobuchar(alpha, beta, lat_rad, lon_rad, azimuth_rad, elevation_rad, tow_s)
+    return SPEED_OF_LIGHT_MPS * at_b1i_s * (BDS_B1I.carrier_hz / carrier_hz) ** 2
 
 
 @brief_kernel

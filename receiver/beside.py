@@ -68,16 +68,13 @@ def rows_beside(systems: Sequence[str], known: Beside, r_e_m: FloatArray) -> Row
     with its covariance LLᵀ.
     """
     told = [s for s in systems[1:] if s in known.between_m] if systems[:1] == ["G"] else []
-    H = np.zeros((len(told), 3 + len(systems)))
+    count = len(told) + (3 if known.place is not None else 0)
+    rows = Rows(np.zeros((count, 3 + len(systems))), np.zeros(count), np.ones(count))
     for row, system in enumerate(told):
-        H[row, 3], H[row, 3 + systems.index(system)] = -1.0, 1.0
-    values, sigmas = ([known.between_m[s][k] for s in told] for k in (0, 1))
-    if known.place is None:
-        return Rows(H, np.array(values), np.array(sigmas))
-    white = whitening(known.place.covariance_m2)
-    H_place = np.hstack([white, np.zeros((3, len(systems)))])
-    return Rows(
-        np.vstack([H, H_place]),
-        np.append(values, white @ (known.place.r_e_m - r_e_m)),
-        np.append(sigmas, np.ones(3)),
-    )
+        rows.H[row, 3], rows.H[row, 3 + systems.index(system)] = -1.0, 1.0
+        rows.values[row], rows.sigma[row] = known.between_m[system]
+    if known.place is not None:
+        white = whitening(known.place.covariance_m2)
+        rows.H[len(told) :, :3] = white
+        rows.values[len(told) :] = white @ (known.place.r_e_m - r_e_m)
+    return rows

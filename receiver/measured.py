@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
-from deepgnss.core.records import SIGNAL_IDS, Ephemeris, Epoch, FloatArray, NavData, Observation
+from deepgnss.core.records import (
+    SIGNAL_IDS,
+    Ephemeris,
+    Epoch,
+    FloatArray,
+    NavData,
+    Observation,
+    RangeCorrections,
+)
 from deepgnss.receiver import orbits
 from deepgnss.receiver.weights import PvtParameters, delays, range_sigma, rate_sigma
 
@@ -82,7 +90,7 @@ def measure(epoch: Epoch, nav: NavData) -> Measured:
     rows = [
         (
             one.transmit.since(epoch.time),
-            one.pseudorange_m - _correction_m(nav, one, epoch),
+            one.pseudorange_m,
             one.doppler_hz,
             one.doppler_sigma_hz,
             one.cn0_dbhz,
@@ -92,6 +100,8 @@ def measure(epoch: Epoch, nav: NavData) -> Measured:
     ]
     columns = np.array(rows, dtype=np.float64).reshape(-1, 6).T.copy()
     readings_s, ranges_m, dopplers_hz, doppler_sigmas_hz, cn0_dbhz, carriers_hz = columns
+    if nav.corrections is not None:
+        ranges_m = ranges_m - [_correction_m(nav.corrections, one, epoch) for one, _ in chosen]
     states = orbits.transmitted_states(ephemerides, epoch.time, readings_s)
     return Measured(
         epoch,
@@ -108,8 +118,10 @@ def measure(epoch: Epoch, nav: NavData) -> Measured:
     )
 
 
-def _correction_m(nav: NavData, observation: Observation, epoch: Epoch) -> float:
-    found = (nav.corrections or {}).get(observation.satellite)
+def _correction_m(
+    corrections: Mapping[str, RangeCorrections], observation: Observation, epoch: Epoch
+) -> float:
+    found = corrections.get(observation.satellite)
     return found.at(epoch.time) if found is not None else 0.0
 
 

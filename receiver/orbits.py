@@ -287,21 +287,25 @@ def transmitted_states(
     Parameters: clock readings as seconds after `reference`, shape (k,).
     Source: IS-GPS-200 20.3.3.3.3 (t = t_sv − Δt_sv).
     """
-    sent_s = _sent(_table(ephemerides), *reference, clock_reading_s)
-    return satellite_states(ephemerides, reference, sent_s)
+    return SatelliteStates(*_transmitted(_table(ephemerides), *reference, clock_reading_s))
 
 
 @kernel
-def _sent(
+def _transmitted(
     table: NDArray[np.void], week: int, tow_s: float, clock_reading_s: FloatArray
-) -> FloatArray:
-    """Instants (k,) after a reference, of readings after it; clocks without relativity will do."""
-    sent_s = np.empty(table.size)
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Fields of `SatelliteStates` at readings (k,) after a reference.
+
+    For their instants, clocks without relativity will do.
+    """
+    sent_s, group_delay_s = np.empty((1, table.size)), np.empty(table.size)
     for k in range(table.size):
         e = table[k]
         tc = clock_reading_s[k] + ((week - e.toc_week) * SECONDS_PER_WEEK + (tow_s - e.toc_tow_s))
-        sent_s[k] = clock_reading_s[k] - (e.af0_s + tc * e.af1_sps)
-    return sent_s
+        sent_s[0, k] = clock_reading_s[k] - (e.af0_s + tc * e.af1_sps)
+        group_delay_s[k] = e.group_delay_s
+    r_e_m, v_e_mps, clock_s, drift_sps = _states(table, week, tow_s, sent_s)
+    return r_e_m[0], v_e_mps[0], clock_s[0], drift_sps[0], group_delay_s
 
 
 def line_of_sight(r_e_m: FloatArray, v_e_mps: FloatArray, states: SatelliteStates) -> LineOfSight:
@@ -377,12 +381,11 @@ def predict(
 
     Parameters: antenna position (3,) and velocity (3,) at `time`.
     """
-    *sight, moving_e_mps, clock_s, drift_sps = _predicted(
+    *sight, moving_e_mps, clock_s, drift_sps, pseudorange_rate_mps = _predicted(
         _table(ephemerides), *time, r_e_m, v_e_mps
     )
     seen = LineOfSight(*sight)
     azimuth, elevation = directions(r_e_m, seen)
-    rate = seen.range_rate_mps
     return Prediction(
         seen,
         moving_e_mps,
@@ -391,15 +394,27 @@ def predict(
         clock_s,
         drift_sps,
         seen.range_m - SPEED_OF_LIGHT_MPS * clock_s,
-        rate - (SPEED_OF_LIGHT_MPS - rate) * drift_sps,
+        pseudorange_rate_mps,
     )
+
+
+def rates(
+    ephemerides: Sequence[Ephemeris], time: GpsTime, r_e_m: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of `predict` for an antenna at rest: rates of pseudoranges, directions and scales of rates.
+
+    Returns (k,), m/s, without receiver clock; (k, 3), ECEF; (k,).
+    """
+    _, _, unit_e, scale, *_, rate_mps = _predicted(_table(ephemerides), *time, r_e_m, np.zeros(3))
+    return rate_mps, unit_e, scale
 
 
 @kernel
 def _predicted(
     table: NDArray[np.void], week: int, tow_s: float, r_e_m: FloatArray, v_e_mps: FloatArray
 ) -> tuple[FloatArray, ...]:
-    """Fields of `LineOfSight`, the satellites' velocity at reception, their clocks and drifts."""
+    """Fields of `LineOfSight`, the satellites' velocity at reception, their clocks and drifts, and
+    the rates of pseudoranges."""
     count = table.size
     range_m, rate_mps, scale = np.empty(count), np.empty(count), np.empty(count)
     clock_s, drift_sps = np.empty(count), np.empty(count)
@@ -416,7 +431,8 @@ def _predicted(
         range_m[k], rate_mps[k], unit, scale[k] = _sight(antenna, motion, r, v)
         unit_e[k, 0], unit_e[k, 1], unit_e[k, 2] = unit
         moving_e_mps[k, 0], moving_e_mps[k, 1], moving_e_mps[k, 2] = _turned(v, range_m[k])
-    return range_m, rate_mps, unit_e, scale, moving_e_mps, clock_s, drift_sps
+    pseudorange_rate_mps = rate_mps - (SPEED_OF_LIGHT_MPS - rate_mps) * drift_sps
+    return range_m, rate_mps, unit_e, scale, moving_e_mps, clock_s, drift_sps, pseudorange_rate_mps
 
 
 def directions(r_e_m: FloatArray, sight: LineOfSight) -> tuple[FloatArray, FloatArray]:
@@ -439,12 +455,13 @@ def select(
     metres. Of several with the same reference time the one sent last counts. Health is the
     caller's matter.
     """
-    best, best_key = None, (np.inf, 0.0)
+    best, best_age_s = None, math.inf
     for ephemeris in nav.ephemerides.get(satellite, ()):
         age_s = abs(time.since(ephemeris.toe))
-        key = (age_s, -ephemeris.transmitted.since(time))
-        if age_s <= ephemeris.fit_hours * 1800.0 + margin_s and key < best_key:
-            best, best_key = ephemeris, key
+        if age_s > min(ephemeris.fit_hours * 1800.0 + margin_s, best_age_s):
+            continue
+        if best is None or age_s < best_age_s or ephemeris.transmitted > best.transmitted:
+            best, best_age_s = ephemeris, age_s
     return best
 
 

@@ -138,9 +138,9 @@ def solve_measured(
             break
         rows = np.flatnonzero(fix.used)
         verdict = check_residuals(
-            np.vstack([fix.H, fix.beside.H]),
-            np.append(fix.residuals_m[rows], fix.beside_left),
-            np.append(fix.sigma_m[rows], fix.beside.sigma),
+            np.concatenate([fix.H, fix.beside.H]),
+            np.concatenate([fix.residuals_m[rows], fix.beside_left]),
+            np.concatenate([fix.sigma_m[rows], fix.beside.sigma]),
             parameters.false_alarm,
             excludable=len(rows),
         )
@@ -187,9 +187,9 @@ def _adjust(
     members = _members(measured.satellites)
     for _ in range(_MAX_ITERATIONS):
         sight = orbits.line_of_sight(r_e_m, np.zeros(3), measured.states)
-        near_earth = np.linalg.norm(r_e_m) > 6.3e6
+        near_earth = math.hypot(*r_e_m) > 6.3e6
         if near_earth and (
-            modelled_at_e_m is None or np.linalg.norm(r_e_m - modelled_at_e_m) > _ATMOSPHERE_STEP_M
+            modelled_at_e_m is None or math.dist(r_e_m, modelled_at_e_m) > _ATMOSPHERE_STEP_M
         ):
             azimuth, elevation = orbits.directions(r_e_m, sight)
             used = active & (elevation >= parameters.elevation_mask_rad)
@@ -207,15 +207,11 @@ def _adjust(
         if len(rows) < needed:
             return _Failure(f"{len(rows)} of {needed} satellites needed", low, len(low) > 0)
         misfit = measured.ranges_m - delays_m - sight.range_m
-        H = np.column_stack([-sight.unit_e[rows], *(members[system][rows] for system in systems)])
-        weight = 1.0 / np.append(sigma_m[rows], beside.sigma)
-        asked = np.append(misfit[rows], beside.values)
-        x, rank = least_squares(
-            np.concatenate([H, beside.H]) * weight[:, np.newaxis], asked * weight
-        )
+        clocks = np.array([members[system] for system in systems])
+        H, x, rank = _step(misfit, sight.unit_e, clocks, sigma_m, rows, *beside)
         if rank < unknowns:
             return _Failure(f"geometry of {len(rows)} satellites is singular", low)
-        step_m = float(np.linalg.norm(x[:3]))
+        step_m = math.hypot(*x[:3])
         r_e_m = r_e_m + x[:3]
         if step_m < _CONVERGED_M:
             break
@@ -240,6 +236,33 @@ def _adjust(
         sight,
         low,
     )
+
+
+@brief_kernel
+def _step(
+    misfit_m: FloatArray,
+    unit_e: FloatArray,
+    clocks: FloatArray,
+    sigma_m: FloatArray,
+    rows: NDArray[np.intp],
+    H_beside: FloatArray,
+    values: FloatArray,
+    sigma: FloatArray,
+) -> tuple[FloatArray, FloatArray, int]:
+    """Design matrix (n, p) of n rows, the step x (p,) by these and those beside, and their rank.
+
+    x: −unit·δr + clock = misfit, weights σ⁻²; clocks (systems, k): 1 for a system's satellites.
+    """
+    count, systems = rows.size, clocks.shape[0]
+    H, asked, weight = np.empty((count, 3 + systems)), np.empty(count), np.empty(count)
+    for n in range(count):
+        k = rows[n]
+        H[n, :3], H[n, 3:] = -unit_e[k], clocks[:, k]
+        asked[n], weight[n] = misfit_m[k], 1.0 / sigma_m[k]
+    weight = np.concatenate((weight, 1.0 / sigma))
+    A = np.concatenate((H, H_beside)) * weight.reshape(-1, 1)
+    x, rank = least_squares(A, np.concatenate((asked, values)) * weight)
+    return H, x, rank
 
 
 def _is_gross(fix: _Fix | _Failure) -> bool:
@@ -267,11 +290,11 @@ def _below_mask(
     active: NDArray[np.bool_],
     elevation: FloatArray,
 ) -> dict[str, str]:
-    mask_deg = np.degrees(parameters.elevation_mask_rad)
+    mask_deg = math.degrees(parameters.elevation_mask_rad)
     return {
         measured.satellites[
             row
-        ]: f"elevation {np.degrees(elevation[row]):.1f}° below {mask_deg:.1f}°"
+        ]: f"elevation {math.degrees(elevation[row]):.1f}° below {mask_deg:.1f}°"
         for row in np.flatnonzero(active & (elevation < parameters.elevation_mask_rad))
     }
 
@@ -300,33 +323,25 @@ def _velocity(
     place: Place | None,
 ) -> _Velocity:
     """Velocity and clock drift from the Dopplers of the satellites used for the position."""
-    sight = fix.sight
-    still = sight.range_rate_mps  # of an antenna at rest
-    misfit = measured.rates_mps - still + (SPEED_OF_LIGHT_MPS - still) * measured.states.drift_sps
-    H = np.column_stack(
-        [
-            -sight.unit_e * sight.rate_scale[:, np.newaxis],
-            1.0 - measured.rates_mps / SPEED_OF_LIGHT_MPS,
-        ]
-    )
+    H, misfit = _rate_equations(*fix.sight[1:], measured.rates_mps, measured.states.drift_sps)
     sigma = rate_sigma(parameters.errors, measured.cn0_dbhz, measured.rate_sigmas_mps)
     rows = np.flatnonzero(fix.used & np.isfinite(misfit))
     told_H, told = np.zeros((0, 4)), np.zeros(0)
     if place is not None:
-        told_H = np.column_stack([whitening(place.velocity_covariance_m2ps2), np.zeros(3)])
-        told = told_H[:, :3] @ place.v_e_mps
+        white = whitening(place.velocity_covariance_m2ps2)
+        told_H, told = np.concatenate([white, np.zeros((3, 1))], axis=1), white @ place.v_e_mps
     while len(rows) >= max(4 - len(told), 1):
-        A = np.vstack([H[rows] / sigma[rows, np.newaxis], told_H])
-        x, rank = least_squares(A, np.append(misfit[rows] / sigma[rows], told))
+        A = np.concatenate([H[rows] / sigma[rows, np.newaxis], told_H])
+        x, rank = least_squares(A, np.concatenate([misfit[rows] / sigma[rows], told]))
         if rank < 4:
             break
         residuals = misfit[rows] - H[rows] @ x
         excluded: tuple[int, ...] = ()
         if parameters.raim:
             verdict = check_residuals(
-                np.vstack([H[rows], told_H]),
-                np.append(residuals, told - told_H @ x),
-                np.append(sigma[rows], np.ones(len(told))),
+                np.concatenate([H[rows], told_H]),
+                np.concatenate([residuals, told - told_H @ x]),
+                np.concatenate([sigma[rows], np.ones(len(told))]),
                 parameters.false_alarm,
                 excludable=len(rows),
             )
@@ -343,6 +358,25 @@ def _velocity(
     return _Velocity(np.full(3, np.nan), np.nan, np.full((4, 4), np.nan))
 
 
+@brief_kernel
+def _rate_equations(
+    still_mps: FloatArray,
+    unit_e: FloatArray,
+    rate_scale: FloatArray,
+    rates_mps: FloatArray,
+    drift_sps: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """H (k, 4) and misfits (k,) of range rates, m/s: H·(velocity, drift·c) = misfit.
+
+    still_mps: of an antenna at rest; drift_sps: of the satellites' clocks.
+    """
+    misfit = rates_mps - still_mps + (SPEED_OF_LIGHT_MPS - still_mps) * drift_sps
+    H = np.empty((rates_mps.size, 4))
+    H[:, :3] = -unit_e * rate_scale.reshape(-1, 1)
+    H[:, 3] = 1.0 - rates_mps / SPEED_OF_LIGHT_MPS
+    return H, misfit
+
+
 def _solution(
     parameters: PvtParameters,
     measured: Measured,
@@ -355,12 +389,11 @@ def _solution(
     reference, *others = fix.biases_m
     lat, lon, _ = geodetic(fix.r_e_m)
     # Columns as receiver clock and biases against it instead of one clock per system.
-    H = fix.H.copy()
-    H[:, 3] = 1.0
-    beside = fix.beside.H.copy()
-    beside[:, 3] = 0.0
-    sigma_m = np.append(fix.sigma_m[rows], fix.beside.sigma)
-    weighted = np.vstack([H, beside]) / sigma_m[:, np.newaxis]
+    H = np.concatenate([fix.H, fix.beside.H])
+    H[: len(rows), 3] = 1.0
+    H[len(rows) :, 3] = 0.0
+    sigma_m = np.concatenate([fix.sigma_m[rows], fix.beside.sigma])
+    weighted = H / sigma_m[:, np.newaxis]
     covariance_m2 = inverse(weighted.T @ weighted)
     between_m = np.sqrt(np.diagonal(covariance_m2)[4:])
     placed = 0 if place is None else 3  # rows that are no satellites: they dilute nothing
@@ -383,7 +416,7 @@ def _solution(
         },
         covariance_m2=covariance_m2[:4, :4],
         velocity_covariance_m2ps2=velocity.covariance_m2ps2,
-        dops=dilutions(np.vstack([H, beside[: len(beside) - placed]]), C_ne(lat, lon)),
+        dops=dilutions(H[: len(H) - placed], C_ne(lat, lon)),
         used=tuple(measured.satellites[row] for row in rows),
         rejected=rejected,
         residuals_m={

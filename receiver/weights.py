@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 
 from deepgnss.core.frames import geodetic
-from deepgnss.core.records import BDS_B1I, Ephemeris, FloatArray, NavData
+from deepgnss.core.jit import brief_kernel
+from deepgnss.core.records import BDS_B1I, Ephemeris, FloatArray, Klobuchar, NavData
 from deepgnss.core.time import GpsTime
 from deepgnss.receiver.atmosphere import (
     TYPICAL_KLOBUCHAR,
@@ -66,26 +67,59 @@ def delays(
     """Atmospheric delay of each pseudorange, m, and the variance of the model, m², shape (k,)."""
     model = parameters.errors
     lat, lon, height_m = geodetic(r_e_m)
-    delay_m, variance_m2 = np.zeros(len(azimuth_rad)), np.zeros(len(azimuth_rad))
+    delay_m = np.zeros(len(azimuth_rad))
     if parameters.troposphere == "saastamoinen":
-        troposphere_m = saastamoinen_delay(lat, height_m, elevation_rad)
-        delay_m += troposphere_m
-        variance_m2 += (model.troposphere * troposphere_m) ** 2
+        delay_m = saastamoinen_delay(lat, height_m, elevation_rad)
+    variance_m2 = (model.troposphere * delay_m) ** 2
     if parameters.ionosphere == "klobuchar":
         gps, beidou = nav.klobuchar.get("G"), nav.klobuchar.get("C")
-        seen = lat, lon, azimuth_rad, elevation_rad, time.tow_s, carriers_hz
-        ionosphere_m = klobuchar_delay(gps or TYPICAL_KLOBUCHAR, *seen)
-        known = np.full(len(carriers_hz), gps is not None)
-        if beidou is not None:  # for its own satellites, and for those of GPS where it has none
-            taken = ~known | (carriers_hz == BDS_B1I.carrier_hz)
-            ionosphere_m = np.where(taken, beidou_klobuchar_delay(beidou, *seen), ionosphere_m)
-            known |= taken
-        delay_m += ionosphere_m
-        slant = 1.0 + 16.0 * (0.53 - np.maximum(elevation_rad, 0.0) / np.pi) ** 3
-        variance_m2 += (
-            np.where(known, model.ionosphere * ionosphere_m, model.unknown_zenith_m * slant) ** 2
+        ionosphere_m = _ionosphere(
+            gps or TYPICAL_KLOBUCHAR,
+            gps is not None,
+            beidou or TYPICAL_KLOBUCHAR,
+            beidou is not None,
+            lat,
+            lon,
+            azimuth_rad,
+            elevation_rad,
+            time.tow_s,
+            carriers_hz,
         )
+        delay_m = delay_m + ionosphere_m
+        if gps is not None or beidou is not None:
+            variance_m2 += (model.ionosphere * ionosphere_m) ** 2
+        else:
+            slant = 1.0 + 16.0 * (0.53 - np.maximum(elevation_rad, 0.0) / np.pi) ** 3
+            variance_m2 += (model.unknown_zenith_m * slant) ** 2
     return delay_m, variance_m2
+
+
+@brief_kernel
+def _ionosphere(
+    gps: Klobuchar,
+    by_gps: bool,
+    beidou: Klobuchar,
+    by_beidou: bool,
+    lat_rad: float,
+    lon_rad: float,
+    azimuth_rad: FloatArray,
+    elevation_rad: FloatArray,
+    tow_s: float,
+    carriers_hz: FloatArray,
+) -> FloatArray:
+    """Ionospheric delays (k,), m, by the coefficients of those systems that have told theirs.
+
+    BeiDou's are for its own satellites, and for those of GPS where that has none.
+    """
+    delay_m = klobuchar_delay(gps, lat_rad, lon_rad, azimuth_rad, elevation_rad, tow_s, carriers_hz)
+    if by_beidou:
+        other_m = beidou_klobuchar_delay(
+            beidou, lat_rad, lon_rad, azimuth_rad, elevation_rad, tow_s, carriers_hz
+        )
+        for k in range(carriers_hz.size):
+            if not by_gps or carriers_hz[k] == BDS_B1I.carrier_hz:
+                delay_m[k] = other_m[k]
+    return delay_m
 
 
 def range_sigma(
