@@ -83,14 +83,10 @@ def sights_over(ephemerides: Sequence[Ephemeris], motion: Motion) -> Sights:
     """Satellites over a motion, without atmosphere, computed at its ends."""
     rates, towards = [], []
     for k in (0, -1):
-        seen = orbits.predict(
-            ephemerides,
-            motion.origin.plus(float(motion.time_s[k])),
-            motion.r_e_m[k],
-            np.zeros(3),
-        )
-        towards.append(seen.sight.unit_e * seen.sight.rate_scale[:, np.newaxis])
-        rates.append(seen.pseudorange_rate_mps)
+        time = motion.origin.plus(float(motion.time_s[k]))
+        rate_mps, unit_e, rate_scale = orbits.rates(ephemerides, time, motion.r_e_m[k])
+        towards.append(unit_e * rate_scale[:, np.newaxis])
+        rates.append(rate_mps)
     return Sights(motion.time_s[[0, -1]], np.array(rates), np.array(towards))
 
 
@@ -209,23 +205,21 @@ class Aider:
             delay_rates_mps,
         )
         start_s = motion.origin.since(from_ns(clock.origin_ns)) + float(motion.time_s[0])
+        start_s += clock.error_s(start_s)
         step_s = float(motion.time_s[1] - motion.time_s[0])
+        grids = {
+            rate_hz: Grid(start_s * rate_hz, step_s * rate_hz, AHEAD_S / step_s, AHEAD_S)
+            for rate_hz in {listener.rate_hz for listener, _ in known}
+        }
+        carriers_hz = np.array([listener.signal.carrier_hz for listener, _ in known])
+        wavelengths_m = SPEED_OF_LIGHT_MPS / carriers_hz
+        cycles = changes_m * (-1.0 / wavelengths_m)[:, np.newaxis]
         slower_mps = sights.toward_e[0] @ velocity_error_e_mps
-        made = {}
-        for (listener, _), one, less_mps in zip(known, changes_m, slower_mps, strict=True):
-            carrier_hz = listener.signal.carrier_hz
-            wavelength_m = SPEED_OF_LIGHT_MPS / carrier_hz
-            made[listener.satellite] = Profile(
-                Grid(
-                    (start_s + clock.error_s(start_s)) * listener.rate_hz,
-                    step_s * listener.rate_hz,
-                    AHEAD_S / step_s,
-                    AHEAD_S,
-                ),
-                one * (-1.0 / wavelength_m),
-                float(-drift_sps * carrier_hz - less_mps / wavelength_m),
-            )
-        return made
+        clocks_hz = -drift_sps * carriers_hz - slower_mps / wavelengths_m
+        return {
+            listener.satellite: Profile(grids[listener.rate_hz], one, clock_hz)
+            for (listener, _), one, clock_hz in zip(known, cycles, clocks_hz.tolist(), strict=True)
+        }
 
     def _atmosphere(
         self,

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
 from deepgnss.core.frames import C_ne, geodetic
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.records import Epoch, FloatArray
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.tight import CLOCK_NOISE
@@ -98,9 +99,8 @@ class _Way:
         to_e = C_ne(lat_rad, lon_rad).T
         P_n = trajectory.antenna_covariance(both_s, self._lever_b_m)[:, :3, :3]
         before, after = to_e @ P_n @ to_e.T
-        values, axes = np.linalg.eigh(after - before)
         self.step_e_m = self.step_e_m + (r_e_m[1] - r_e_m[0])
-        self.grown_e_m2 = self.grown_e_m2 + axes * np.maximum(values, _LEAST_M2) @ axes.T
+        self.grown_e_m2 = self.grown_e_m2 + _growth(before, after)
         self.r_e_m, self.covariance_e_m2, self._at_s = r_e_m[1], after, time_s
         return True
 
@@ -110,6 +110,13 @@ class _Way:
         reached = begin_s <= self._at_s or self.to(min(begin_s, float(self._trajectory.time_s[-1])))
         self._trajectory = trajectory
         return reached and abs(self._at_s - begin_s) < 1e-3
+
+
+@brief_kernel
+def _growth(before_m2: FloatArray, after_m2: FloatArray) -> FloatArray:
+    """What a covariance (3, 3) has grown by, in every direction by the least at least."""
+    values, axes = np.linalg.eigh(after_m2 - before_m2)
+    return axes * np.maximum(values, _LEAST_M2) @ axes.T  # type: ignore[no-any-return]
 
 
 @dataclass(slots=True)
@@ -214,21 +221,19 @@ class Screening:
         self._agreed = epoch.time
 
     def _predict(self, passed_s: float, grown: FloatArray) -> None:
-        F, P = np.eye(self._x.size), self._P
-        F[_BIAS, _DRIFT] = passed_s
-        self._x = F @ self._x
-        P = F @ P @ F.T
-        P[_PLACE, _PLACE] += grown
-        walk2 = CLOCK_NOISE.drift_mps_rts**2
-        P[_BIAS, _BIAS] += CLOCK_NOISE.bias_m_rts**2 * passed_s + walk2 * passed_s**3 / 3.0
-        P[_BIAS, _DRIFT] += walk2 * passed_s**2 / 2.0
-        P[_DRIFT, _BIAS] += walk2 * passed_s**2 / 2.0
-        P[_DRIFT, _DRIFT] += walk2 * passed_s
         # A random walk against errors R of a second's tags is followed with the gain √(q/R).
-        own = np.arange(_FIXED, self._x.size)[[len(name) == 3 for name in self._names]]
         second_m2 = _SOUND_M**2 * 2.0 * _LASTING_S
-        P[own, own] += self.settings.alpha_ps**2 * second_m2 * passed_s
-        self._P = P
+        walked_m2 = self.settings.alpha_ps**2 * second_m2 * passed_s
+        own_m2 = np.array([walked_m2 if len(name) == 3 else 0.0 for name in self._names])
+        self._x, self._P = _predicted(
+            self._x,
+            self._P,
+            passed_s,
+            grown,
+            CLOCK_NOISE.bias_m_rts,
+            CLOCK_NOISE.drift_mps_rts,
+            own_m2,
+        )
 
     def _take_drift(self, drift_mps: float, sigma_mps: float) -> None:
         """Believe who knows the counter's drift better than ranges tell it."""
@@ -307,10 +312,12 @@ class Screening:
         noise_m: FloatArray,
     ) -> Mapping[str, str]:
         off_m = misfit_m - H @ self._x
-        variance_m2 = np.einsum("ki,ij,kj->k", H, self._P, H) + noise_m**2
+        variance_m2 = np.sum(H @ self._P * H, axis=1) + noise_m**2
         limit_m = np.hypot(self.settings.threshold_m, _WIDENING * np.sqrt(variance_m2))
         refused: dict[str, str] = {}
-        for satellite, by_m, most_m in zip(seen.satellites, off_m, limit_m, strict=True):
+        for satellite, by_m, most_m in zip(
+            seen.satellites, off_m.tolist(), limit_m.tolist(), strict=True
+        ):
             stretch = self._stretches.get(satellite)
             if abs(by_m) <= most_m * (_RETURN if stretch else 1.0):
                 if stretch:
@@ -320,7 +327,7 @@ class Screening:
             if stretch is None:
                 stretch = self._stretches[satellite] = _Stretch(time, 0.0)
                 self.flags.append(Flag(time, satellite, True, reason))
-            stretch.largest_m = max(stretch.largest_m, abs(float(by_m)))
+            stretch.largest_m = max(stretch.largest_m, abs(by_m))
             self.refused_tags[satellite] = self.refused_tags.get(satellite, 0) + 1
             refused[satellite] = reason
             if time.since(stretch.since) > _PATIENCE_S:
@@ -341,3 +348,31 @@ class Screening:
         self._x = np.delete(self._x, row)
         self._P = np.delete(np.delete(self._P, row, 0), row, 1)
         self._names.remove(satellite)
+
+
+@brief_kernel
+def _predicted(
+    x: FloatArray,
+    P: FloatArray,
+    passed_s: float,
+    grown_m2: FloatArray,
+    bias_m_rts: float,
+    drift_mps_rts: float,
+    own_m2: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """State and covariance so many seconds later.
+
+    grown (3, 3): covariance of the place; walks of the clock; own: those of the states behind.
+    """
+    F = np.eye(x.size)
+    F[_BIAS, _DRIFT] = passed_s
+    P = F @ P @ F.T
+    P[_PLACE, _PLACE] += grown_m2
+    walk2 = drift_mps_rts**2
+    P[_BIAS, _BIAS] += bias_m_rts**2 * passed_s + walk2 * passed_s**3 / 3.0
+    P[_BIAS, _DRIFT] += walk2 * passed_s**2 / 2.0
+    P[_DRIFT, _BIAS] += walk2 * passed_s**2 / 2.0
+    P[_DRIFT, _DRIFT] += walk2 * passed_s
+    for k in range(own_m2.size):
+        P[_FIXED + k, _FIXED + k] += own_m2[k]
+    return F @ x, P

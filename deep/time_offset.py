@@ -186,28 +186,39 @@ class _Stretch:
         until_s = float(self.track.time_s[-1]) + max(both_s) + 2.0 * _APART_S
         return bool(since_s >= first_s - 1e-9 and until_s <= last_s + 1e-9)
 
-    def _looped(self, late_s: float, C_n0: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What the loop makes of the velocity felt at the fixes (m, 3), and its slope over τ.
-
-        C_n0: of the first fix at `late_s`.
-        """
+    @property
+    def _grid_s(self) -> FloatArray:
+        """Intervals of the loop, from before the first fix, where it settles, to the last."""
         track, step_s = self.track, self.loop.interval_s
         since_s = track.time_s[0] - _SETTLING_S - _APART_S
         count = math.ceil((track.time_s[-1] + _APART_S - since_s) / step_s) + 1
-        grid_s = since_s + step_s * np.arange(count)
+        return np.asarray(since_s + step_s * np.arange(count))
 
-        def felt_at(late_s: float) -> FloatArray:
-            felt = reckoned(self.block, grid_s + late_s, self.lever_b_m)
-            here = reckoned(self.block, np.array([since_s + late_s, first_s]), self.lever_b_m)
-            C = C_n0 @ rotation_matrix(here.q_0b[1]).T
-            fall = np.outer(grid_s - since_s, self.fall_n_mps2)
-            return np.asarray(felt.gained_0_mps @ C.T + fall)
+    def _gained(self, late_s: float) -> FloatArray:
+        """Specific force summed up on the grid (n, 3), in the body axes of its start."""
+        return reckoned(self.block, self._grid_s + late_s, self.lever_b_m).gained_0_mps
 
+    def _looped(
+        self, late_s: float, C_n0: FloatArray, told_0_mps: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """What the loop makes of the velocity felt at the fixes (m, 3), and its slope over τ.
+
+        C_n0: of the first fix at `late_s`; told: what the log, as it is, has aided the loop with.
+        """
+        track, grid_s = self.track, self._grid_s
         first_s = float(track.time_s[0]) + late_s
-        felt = felt_at(late_s)
+
+        def velocity(gained_0_mps: FloatArray, late_s: float) -> FloatArray:
+            both_s = np.array([grid_s[0] + late_s, first_s])
+            here = reckoned(self.block, both_s, self.lever_b_m)
+            C = C_n0 @ rotation_matrix(here.q_0b[1]).T
+            fall = np.outer(grid_s - grid_s[0], self.fall_n_mps2)
+            return np.asarray(gained_0_mps @ C.T + fall)
+
+        felt = velocity(self._gained(late_s), late_s)
         moves = shown = self._followed(felt)
         if self.aided:
-            given = felt_at(0.0)
+            given = velocity(told_0_mps, 0.0)
             shown = self._followed(felt - given) + given
         before, after = (
             _columns_at(track.time_s + apart_s, grid_s, moves) for apart_s in (-_APART_S, _APART_S)
@@ -243,6 +254,7 @@ class _Stretch:
         track, count = self.track, self.track.time_s.size
         relative = track.sigma_mps / np.median(track.sigma_mps)
         scale_mps, weight = 0.2 * float(np.median(track.sigma_mps)), np.ones(count)
+        told_0_mps = self._gained(0.0) if self.aided else np.zeros((0, 3))
         x, sigma_s, late_s, says_s = np.zeros(0), math.inf, near_s, 0.0
         residual = np.zeros((count, 3))
         for _ in range(_ROUNDS):
@@ -257,7 +269,7 @@ class _Stretch:
                     return "neither speeding up nor turning"
                 C = found.C_n0
             gained, C_nb = felt.gained_0_mps @ C.T, C @ rotation_matrix(felt.q_0b)
-            shown, slope = self._looped(late_s, C)
+            shown, slope = self._looped(late_s, C, told_0_mps)
             sigma = scale_mps * relative / np.sqrt(weight)
             A, prior = _design(track.time_s, gained, slope, self.fall_n_mps2, C_nb, self.grade)
             y = track.v_n_mps - shown

@@ -9,6 +9,8 @@ from deepgnss.core.records import STAGES, ChannelReport, NavSolution, SatelliteO
 from deepgnss.receiver.acquisition import Acquisition
 from deepgnss.receiver.signals import Signal
 
+_REACHED = {stage: k for k, stage in enumerate(STAGES)}
+
 
 @dataclass(slots=True)
 class _Account:
@@ -45,7 +47,7 @@ class Accounts:
     def advance(self, satellite: str, stage: str, reason: str = "") -> None:
         """Note a stage; one already passed stays, with the new reason unless it is empty."""
         account = self._accounts[satellite]
-        if STAGES.index(stage) > STAGES.index(account.stage):
+        if _REACHED[stage] > _REACHED[account.stage]:
             account.stage, account.reason = stage, reason
         elif reason:
             account.reason = reason
@@ -56,7 +58,7 @@ class Accounts:
         before = account.stage
         account.acquisition_peak = max(seen.peak_ratio, account.acquisition_peak or 0.0)
         self.advance(seen.satellite, "acquired" if seen.found else "searched")
-        if not seen.found and STAGES.index(before) <= STAGES.index("searched"):
+        if not seen.found and _REACHED[before] <= _REACHED["searched"]:
             self.advance(seen.satellite, "searched", seen.reason)
 
     def tracked(self, report: ChannelReport) -> None:

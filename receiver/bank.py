@@ -85,7 +85,7 @@ class Bank:
         self.signal = signal
         self.rate_hz = Fraction(sample_rate_hz)
         self.longest_s = CarrierTracking(signal, tracking).longest * signal.period_s
-        self.channels: dict[int, Channel] = {}
+        self.channels: dict[int, Channel] = {}  # in the order of PRNs
         self.heads: dict[int, Head] = {}
         self._tracking = tracking
         self._known = known
@@ -98,7 +98,7 @@ class Bank:
 
     def tracked(self) -> list[Channel]:
         """Channels in the order of PRNs."""
-        return [self.channels[prn] for prn in sorted(self.channels)]
+        return list(self.channels.values())
 
     # --- search ------------------------------------------------------------------------------
 
@@ -165,7 +165,7 @@ class Bank:
             slips=self._slips.get(seen.prn, 0),
         )
         channel.known = self._known.get(channel.satellite)
-        self.channels[seen.prn] = channel
+        self.channels = dict(sorted({**self.channels, seen.prn: channel}.items()))
         frames = self._frames.get(seen.prn)
         self._frames[seen.prn] = (
             framing.start(channel.satellite) if frames is None else framing.resume(frames)
@@ -233,8 +233,8 @@ class Bank:
     def read_messages(self, date: GpsTime | None) -> list[News]:
         """What the channels in phase lock have decoded; new frame heads join `heads`."""
         news = []
-        for prn, channel in sorted(self.channels.items()):
-            if channel.mode is not Mode.PHASE or not channel.symbols:
+        for prn, channel in self.channels.items():
+            if channel.mode is not Mode.PHASE or not framing.due(self._frames[prn], channel):
                 continue
             found = framing.read_symbols(self._frames[prn], channel, date)
             self._frames[prn] = found.state
@@ -317,7 +317,7 @@ class Bank:
         """Observations at a tag; slips are counted from the last one put out."""
         tag = tag_of(clock.at_rate(self.rate_hz), tag_ns)
         tagged = Tagged([], [])
-        for prn, channel in sorted(self.channels.items()):
+        for prn, channel in self.channels.items():
             if channel.mode is Mode.LOST:  # dropped since it ran
                 continue
             memory = self._memory[prn]
@@ -326,7 +326,7 @@ class Bank:
                 continue
             told = output and not seen.coasting
             self._memory[prn] = (
-                seen.memory if told else memory._replace(ambiguity=seen.memory.ambiguity)
+                seen.memory if told else PhaseMemory(seen.memory.ambiguity, memory.slips)
             )
             observation = seen.observation
             if seen.coasting:

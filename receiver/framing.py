@@ -52,17 +52,22 @@ def resume(state: FrameState) -> FrameState:
     return FrameState(state.satellite, state.messages)
 
 
+def due(state: FrameState, channel: Channel) -> bool:
+    """Whether the channel has decided enough since the last look to be read again."""
+    count, message = len(channel.symbols), channel.signal.message
+    fresh = state.stretch != channel.symbols_first
+    if fresh or state.next_frame is None:
+        return count - (0 if fresh else state.scanned) >= message.head_symbols + _SCAN_EVERY
+    return count >= state.next_frame + message.subframe_symbols
+
+
 def read_symbols(state: FrameState, channel: Channel, near: GpsTime | None) -> Found:
     """Look at what the channel has decided since the last call."""
     if state.stretch != channel.symbols_first:
         state = replace(state, stretch=channel.symbols_first, scanned=0, next_frame=None, heads=0)
-    count, message = len(channel.symbols), channel.signal.message
-    due = state.next_frame + message.subframe_symbols if state.next_frame is not None else None
-    if due is None:
-        if count - state.scanned < message.head_symbols + _SCAN_EVERY:
-            return Found(state)
-    elif count < due:
+    if not due(state, channel):
         return Found(state)
+    count, message = len(channel.symbols), channel.signal.message
     bits = np.frombuffer(bytes(channel.symbols), dtype=np.int8)
     first = state.scanned if state.next_frame is None else state.next_frame
     frames = message.find_frames(bits, first)
