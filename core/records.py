@@ -173,8 +173,7 @@ class Correlations:
     taps: ComplexArray
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelReport:
+class ChannelReport(NamedTuple):
     """State of one channel at the end of a navigation epoch."""
 
     satellite: str
@@ -227,8 +226,7 @@ class Event:
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class Observation:
+class Observation(NamedTuple):
     """One signal's observables at an output instant (receiver time steered to GPST)."""
 
     satellite: str  # "G05"

@@ -76,7 +76,7 @@ class Navigated(NamedTuple):
         if not (wrong := self.outside.get(time)):
             return fix
         kept = tuple(
-            replace(one, carrier_valid=False) if one.satellite in wrong else one
+            one._replace(carrier_valid=False) if one.satellite in wrong else one
             for one in fix.epoch.observations
         )
         epoch = replace(fix.epoch, observations=kept)

@@ -25,6 +25,7 @@ import numpy as np
 
 from deepgnss.core.attitude import from_rotation_vector, rotation_matrix, skew
 from deepgnss.core.frames import geodetic
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.loops import follow, loop_gains
 from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade
 from deepgnss.ins.coarse import (
@@ -352,10 +353,14 @@ def _design(
     return np.concatenate(columns, axis=2), np.concatenate(information)
 
 
+@brief_kernel
 def _summed(time_s: FloatArray, values: FloatArray) -> FloatArray:
     """Integral from the first instant on, (m, …), by the trapezoidal rule."""
-    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time_s)[:, np.newaxis, np.newaxis]
-    return np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(steps, axis=0)])
+    sums = np.zeros(values.shape)
+    for k in range(1, time_s.size):
+        step = 0.5 * (values[k] + values[k - 1]) * (time_s[k] - time_s[k - 1])
+        sums[k] = sums[k - 1] + step
+    return sums
 
 
 def _inflated(residual: FloatArray) -> float:

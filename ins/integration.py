@@ -21,7 +21,7 @@ from deepgnss.ins import ranging
 from deepgnss.ins.error_model import VELOCITY, ProcessNoise
 from deepgnss.ins.error_state import Estimate, side_by_side
 from deepgnss.ins.fixes import GnssFix, WheelSpeeds
-from deepgnss.ins.increments import SAME_INSTANT_S, rows
+from deepgnss.ins.increments import SAME_INSTANT_S
 from deepgnss.ins.measurements import Measurement
 from deepgnss.ins.navigator import InsNavigator
 from deepgnss.ins.ranging import ClockNoise, RangeEpoch, extra_transition
@@ -197,7 +197,7 @@ class Coupling:
 
     def look_ahead(self, until_s: float) -> Trajectory:
         """The way on to an instant by the increments alone; nothing moves."""
-        _, trajectory = self._navigator.advance(self._between(until_s), until_s)
+        _, trajectory = self._navigator.advance(self.block, until_s)
         return trajectory
 
     def antenna(self) -> models.Point:
@@ -248,7 +248,7 @@ class Coupling:
     def _carry(self, time_s: float) -> Trajectory:
         """Advance the navigator and the parameters behind the inertial errors."""
         start_s, self.measured = self.time_s, ()
-        self._navigator, trajectory = self._navigator.advance(self._between(time_s), time_s)
+        self._navigator, trajectory = self._navigator.advance(self.block, time_s)
         if trajectory.omega_ib_b_radps.size:
             self._omega_ib_b = trajectory.omega_ib_b_radps[-1]
         for gap in trajectory.bridged:
@@ -273,12 +273,6 @@ class Coupling:
         if self.settings.keep_trajectories:
             self.trajectories.append(trajectory)
         return trajectory
-
-    def _between(self, until_s: float) -> ImuBlock:
-        """Increments from where the navigator stands to an instant, the one across it included."""
-        first = int(np.searchsorted(self.block.time_s, self.time_s + SAME_INSTANT_S))
-        end = int(np.searchsorted(self.block.time_s, until_s - SAME_INSTANT_S)) + 1
-        return rows(self.block, first, end)
 
     def _correct(self, instant: Instant, trajectory: Trajectory) -> None:
         estimate = self._navigator.estimate

@@ -9,6 +9,7 @@ error back. Both return a new navigator; nothing changes in place.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from statistics import median
 from typing import Final
@@ -160,12 +161,12 @@ class InsNavigator:
         return np.array(times), np.array(kept), Phi, Q
 
     def _at_end(self, trajectory: Trajectory, before: Reading | None) -> InsNavigator:
-        lon_rad = np.remainder(trajectory.lon_rad[-1] + np.pi, 2.0 * np.pi) - np.pi
+        lon_rad = (float(trajectory.lon_rad[-1]) + math.pi) % (2.0 * math.pi) - math.pi
         state = replace(
             self.state,
             time=trajectory.origin.plus(float(trajectory.time_s[-1])),
             lat_rad=float(trajectory.lat_rad[-1]),
-            lon_rad=float(lon_rad),
+            lon_rad=lon_rad,
             height_m=float(trajectory.height_m[-1]),
             v_n_mps=trajectory.v_n_mps[-1],
             q_nb=trajectory.q_nb[-1],

@@ -145,17 +145,21 @@ class ChannelTable(Table):
     ) -> None:
         """Append the channels of one epoch, `recording_s` after sample 0; time: None as yet."""
         start = [f"{recording_s:.6f}", *(_time(time) if time else ("", ""))]
-        for r in reports:
-            self._row(
-                [
-                    *start,
-                    *(r.satellite, r.signal, r.stage, r.mode),
-                    *(number(r.cn0_dbhz, 2), number(r.doppler_hz, 3), number(r.carrier_lock, 4)),
-                    *(number(r.aiding_minus_loop_hz, 3), number(r.lock_time_s, 3)),
-                    number(r.coherent_s, 4),
-                    *(number(r.carrier_bandwidth_hz, 2), number(r.code_bandwidth_hz, 3)),
-                ]
-            )
+        self._rows.writerows(
+            [
+                *start,
+                *(r.satellite, r.signal, r.stage, r.mode),
+                number(r.cn0_dbhz, 2),
+                number(r.doppler_hz, 3),
+                number(r.carrier_lock, 4),
+                number(r.aiding_minus_loop_hz, 3),
+                number(r.lock_time_s, 3),
+                number(r.coherent_s, 4),
+                number(r.carrier_bandwidth_hz, 2),
+                number(r.code_bandwidth_hz, 3),
+            ]
+            for r in reports
+        )
 
 
 class ObservationTable(Table):

@@ -63,10 +63,10 @@ class _Fix(NamedTuple):
 
     r_e_m: FloatArray
     biases_m: Mapping[str, float]  # receiver clock in metres, by system
-    H: FloatArray
-    beside: Rows
-    beside_left: FloatArray  # of them after the adjustment, in their units
-    sigma_m: FloatArray
+    H: FloatArray  # of all rows: satellites used, then those beside …
+    sigma: FloatArray  # … and their σ
+    beside_left: FloatArray  # of those beside after the adjustment, in their units
+    sigma_m: FloatArray  # of all measured
     residuals_m: FloatArray  # of all measured; NaN for systems that are not in the solution
     azimuth_rad: FloatArray
     elevation_rad: FloatArray
@@ -138,9 +138,9 @@ def solve_measured(
             break
         rows = np.flatnonzero(fix.used)
         verdict = check_residuals(
-            np.concatenate([fix.H, fix.beside.H]),
+            fix.H,
             np.concatenate([fix.residuals_m[rows], fix.beside_left]),
-            np.concatenate([fix.sigma_m[rows], fix.beside.sigma]),
+            fix.sigma,
             parameters.false_alarm,
             excludable=len(rows),
         )
@@ -208,7 +208,7 @@ def _adjust(
             return _Failure(f"{len(rows)} of {needed} satellites needed", low, len(low) > 0)
         misfit = measured.ranges_m - delays_m - sight.range_m
         clocks = np.array([members[system] for system in systems])
-        H, x, rank = _step(misfit, sight.unit_e, clocks, sigma_m, rows, *beside)
+        x, rank, H, sigma = _step(misfit, sight.unit_e, clocks, sigma_m, rows, *beside)
         if rank < unknowns:
             return _Failure(f"geometry of {len(rows)} satellites is singular", low)
         step_m = math.hypot(*x[:3])
@@ -226,7 +226,7 @@ def _adjust(
         r_e_m,
         biases_m,
         H,
-        beside,
+        sigma,
         beside.values - beside.H @ x,
         sigma_m,
         misfit - moved_m - own_m,
@@ -247,22 +247,22 @@ def _step(
     rows: NDArray[np.intp],
     H_beside: FloatArray,
     values: FloatArray,
-    sigma: FloatArray,
-) -> tuple[FloatArray, FloatArray, int]:
-    """Design matrix (n, p) of n rows, the step x (p,) by these and those beside, and their rank.
+    sigma_beside: FloatArray,
+) -> tuple[FloatArray, int, FloatArray, FloatArray]:
+    """Step x (p,) by some rows and those beside, and their rank; H (n, p) and σ (n,) of all.
 
-    x: −unit·δr + clock = misfit, weights σ⁻²; clocks (systems, k): 1 for a system's satellites.
+    −unit·δr + clock = misfit, weights σ⁻²; clocks (systems, k): 1 for a system's satellites.
     """
-    count, systems = rows.size, clocks.shape[0]
-    H, asked, weight = np.empty((count, 3 + systems)), np.empty(count), np.empty(count)
+    count = rows.size
+    H, sigma = np.empty((count + values.size, 3 + clocks.shape[0])), np.empty(count + values.size)
+    H[count:], sigma[count:] = H_beside, sigma_beside
     for n in range(count):
         k = rows[n]
-        H[n, :3], H[n, 3:] = -unit_e[k], clocks[:, k]
-        asked[n], weight[n] = misfit_m[k], 1.0 / sigma_m[k]
-    weight = np.concatenate((weight, 1.0 / sigma))
-    A = np.concatenate((H, H_beside)) * weight.reshape(-1, 1)
-    x, rank = least_squares(A, np.concatenate((asked, values)) * weight)
-    return H, x, rank
+        H[n, :3], H[n, 3:], sigma[n] = -unit_e[k], clocks[:, k], sigma_m[k]
+    weight = 1.0 / sigma
+    asked = np.concatenate((misfit_m[rows], values))
+    x, rank = least_squares(H * weight.reshape(-1, 1), asked * weight)
+    return x, rank, H, sigma
 
 
 def _is_gross(fix: _Fix | _Failure) -> bool:
@@ -326,24 +326,19 @@ def _velocity(
     H, misfit = _rate_equations(*fix.sight[1:], measured.rates_mps, measured.states.drift_sps)
     sigma = rate_sigma(parameters.errors, measured.cn0_dbhz, measured.rate_sigmas_mps)
     rows = np.flatnonzero(fix.used & np.isfinite(misfit))
-    told_H, told = np.zeros((0, 4)), np.zeros(0)
+    told = Rows(np.zeros((0, 4)), np.zeros(0), np.zeros(0))
     if place is not None:
         white = whitening(place.velocity_covariance_m2ps2)
-        told_H, told = np.concatenate([white, np.zeros((3, 1))], axis=1), white @ place.v_e_mps
-    while len(rows) >= max(4 - len(told), 1):
-        A = np.concatenate([H[rows] / sigma[rows, np.newaxis], told_H])
-        x, rank = least_squares(A, np.concatenate([misfit[rows] / sigma[rows], told]))
+        told = Rows(np.zeros((3, 4)), white @ place.v_e_mps, np.ones(3))
+        told.H[:, :3] = white
+    while len(rows) >= max(4 - len(told.values), 1):
+        x, rank, A, design, residuals, sigmas = _rate_step(H, misfit, sigma, rows, *told)
         if rank < 4:
             break
-        residuals = misfit[rows] - H[rows] @ x
         excluded: tuple[int, ...] = ()
         if parameters.raim:
             verdict = check_residuals(
-                np.concatenate([H[rows], told_H]),
-                np.concatenate([residuals, told - told_H @ x]),
-                np.concatenate([sigma[rows], np.ones(len(told))]),
-                parameters.false_alarm,
-                excludable=len(rows),
+                design, residuals, sigmas, parameters.false_alarm, excludable=len(rows)
             )
             if not verdict.passed:
                 break
@@ -377,6 +372,29 @@ def _rate_equations(
     return H, misfit
 
 
+@brief_kernel
+def _rate_step(
+    H: FloatArray,
+    misfit: FloatArray,
+    sigma: FloatArray,
+    rows: NDArray[np.intp],
+    told_H: FloatArray,
+    told: FloatArray,
+    told_sigma: FloatArray,
+) -> tuple[FloatArray, int, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Velocity and drift·c (4,) by some rows and what is told, and their rank.
+
+    Then of all these equations (n): weighted design matrix (n, 4), the plain one, what is left of
+    them, and their σ.
+    """
+    design = np.concatenate((H[rows], told_H))
+    values = np.concatenate((misfit[rows], told))
+    sigmas = np.concatenate((sigma[rows], told_sigma))
+    A = design / sigmas.reshape(-1, 1)
+    x, rank = least_squares(A, values / sigmas)
+    return x, rank, A, design, values - design @ x, sigmas
+
+
 def _solution(
     parameters: PvtParameters,
     measured: Measured,
@@ -389,11 +407,10 @@ def _solution(
     reference, *others = fix.biases_m
     lat, lon, _ = geodetic(fix.r_e_m)
     # Columns as receiver clock and biases against it instead of one clock per system.
-    H = np.concatenate([fix.H, fix.beside.H])
+    H = fix.H.copy()
     H[: len(rows), 3] = 1.0
     H[len(rows) :, 3] = 0.0
-    sigma_m = np.concatenate([fix.sigma_m[rows], fix.beside.sigma])
-    weighted = H / sigma_m[:, np.newaxis]
+    weighted = H / fix.sigma[:, np.newaxis]
     covariance_m2 = inverse(weighted.T @ weighted)
     between_m = np.sqrt(np.diagonal(covariance_m2)[4:])
     placed = 0 if place is None else 3  # rows that are no satellites: they dilute nothing

@@ -11,7 +11,6 @@ asks for less. Forgetting does what T's regular resets do; it starts anew with e
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 from deepgnss.core.constants import SPEED_OF_LIGHT_MPS
@@ -52,5 +51,5 @@ def smooth(
     seconds = min(state.seconds + elapsed_s, longest_s)
     weight = elapsed_s / (seconds + elapsed_s) if seconds > 0.0 else 1.0
     mean_m = state.offset_m + weight * (offset_m - state.offset_m)
-    smoothed = replace(observation, pseudorange_m=phase_m + mean_m)
+    smoothed = observation._replace(pseudorange_m=phase_m + mean_m)
     return HatchState(time, mean_m, seconds, arc, phase), smoothed

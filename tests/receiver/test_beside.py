@@ -31,7 +31,7 @@ V_E_M2PS2 = 0.04 * np.eye(3)
 
 def some(count: int, system: str = "GC") -> Epoch:
     seen = [o for o in EPOCH.observations if o.satellite[0] in system][:count]
-    return replace(EPOCH, observations=tuple(replace(o, cn0_dbhz=45.0) for o in seen))
+    return replace(EPOCH, observations=tuple(o._replace(cn0_dbhz=45.0) for o in seen))
 
 
 def place(off_e_m: FloatArray | None = None) -> Place:
@@ -92,7 +92,7 @@ def test_three_satellites_and_a_place_err_as_they_say() -> None:
     nees = []
     for _ in range(400):
         noisy = tuple(
-            replace(o, pseudorange_m=o.pseudorange_m + e)
+            o._replace(pseudorange_m=o.pseudorange_m + e)
             for o, e in zip(epoch.observations, rng.normal(0.0, SIGMA_M, 3), strict=True)
         )
         told = place(root @ rng.normal(size=3))
@@ -109,7 +109,7 @@ def test_a_range_that_contradicts_the_place_goes_where_ranges_alone_say_nothing(
     wrong = replace(
         epoch,
         observations=tuple(
-            replace(o, pseudorange_m=o.pseudorange_m + 60.0 * (o.satellite == liar))
+            o._replace(pseudorange_m=o.pseudorange_m + 60.0 * (o.satellite == liar))
             for o in epoch.observations
         ),
     )

@@ -34,7 +34,7 @@ def changed(epoch: Epoch, satellite: str, **changes: float) -> Epoch:
     return replace(
         epoch,
         observations=tuple(
-            replace(o, **{name: getattr(o, name) + by for name, by in changes.items()})
+            o._replace(**{name: getattr(o, name) + by for name, by in changes.items()})
             if o.satellite == satellite
             else o
             for o in epoch.observations
@@ -189,8 +189,7 @@ def test_errors_agree_with_the_covariance() -> None:
         noisy = replace(
             EPOCH,
             observations=tuple(
-                replace(
-                    o,
+                o._replace(
                     pseudorange_m=o.pseudorange_m + s * rng.normal(),
                     doppler_hz=o.doppler_hz + d * rng.normal(),
                 )
@@ -233,8 +232,7 @@ def test_whole_milliseconds_wrong_are_named_alone(periods: tuple[int, ...], warm
     for o in EPOCH.observations:
         late_s = 1e-3 * wrong.get(o.satellite, 0)
         observations.append(
-            replace(
-                o,
+            o._replace(
                 pseudorange_m=o.pseudorange_m + C * late_s,
                 transmit=o.transmit.plus(-late_s),
             )

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import cast
 
@@ -206,7 +206,7 @@ def _state(channel: Channel) -> dict[str, object]:
         "events": list(channel.events),
         "error": channel.frequency_error_hz,
         "taken": channel.filled,
-        "report": astuple(channel.report("")),
+        "report": tuple(channel.report("")),
         "arc": (channel.slips, channel.phase_valid, channel.phase_kept),
     }
 
