@@ -16,6 +16,7 @@ import numpy as np
 
 from deepgnss.core.errors import NumericalError
 from deepgnss.core.frames import C_ne
+from deepgnss.core.jit import brief_kernel
 from deepgnss.core.records import FloatArray, ImuBlock, ImuGrade
 from deepgnss.core.time import GpsTime
 from deepgnss.deep.tight import CounterLine, range_epoch
@@ -335,9 +336,27 @@ class Navigation:
 
 
 def _antenna(estimate: Estimate, point: Point) -> Antenna:
-    H = np.vstack([point.H_position, point.H_velocity])
-    to_e = C_ne(estimate.ins.lat_rad, estimate.ins.lon_rad).T
-    return Antenna(point.r_e_m, to_e @ point.v_n_mps, H @ estimate.P @ H.T)
+    to_n = C_ne(estimate.ins.lat_rad, estimate.ins.lon_rad)
+    v_e_mps, covariance = _turned(
+        to_n, point.v_n_mps, point.H_position, point.H_velocity, estimate.P
+    )
+    return Antenna(point.r_e_m, v_e_mps, covariance)
+
+
+@brief_kernel
+def _turned(
+    to_n: FloatArray,
+    v_n_mps: FloatArray,
+    H_position: FloatArray,
+    H_velocity: FloatArray,
+    P: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Velocity (3,), ECEF, and covariance (6, 6), NED, of position and velocity, by that of errors.
+
+    H (3, n) of both, P (n, n).
+    """
+    H = np.concatenate((H_position, H_velocity))
+    return to_n.T @ v_n_mps, H @ P @ H.T
 
 
 def lasting_doppler_s(fix: Fix) -> float:

@@ -134,16 +134,11 @@ class PhaseFilter:
         H (3, n): slope of the antenna's position (NED) in the inertial errors at both ends;
         Phi, Q (n, n) of the errors in between; variances that come on top, those of arcs (arcs,).
         """
-        base, errors, clock = self._base, self._errors, self._clock
-        F, added = np.eye(base), np.zeros((base, base))
-        F[_WAY, errors] = (H_end @ Phi - H_begin)[:, _FROM:]
-        F[errors, errors] = Phi[_FROM:, _FROM:]
-        into = np.vstack([H_end, np.eye(Phi.shape[0])[_FROM:]])
-        added[: errors.stop, : errors.stop] = into @ Q @ into.T
-        F[clock:, clock:], added[clock:, clock:] = _clock_transition(
+        clock = _clock_transition(
             seconds, self._oscillator.h0_s, self._oscillator.h_2_hz, self._flicker_mps2
         )
-        added[clock, clock] += clock_shaken_m2
+        F, added = _transition(H_begin, H_end, Phi, Q, *clock)
+        added[self._clock, self._clock] += clock_shaken_m2
         walks = np.zeros(self.mean.size)
         walks[self._own], walks[self._own_rate] = arcs_walk_m2, rates_walk_m2ps2
         self.mean, self.P = _carried(self.mean, self.P, F, added, walks, seconds)
@@ -290,6 +285,29 @@ def _clock_transition(
         if k > 1:
             F[k, k] = kept[k - 2]
     return F, Q
+
+
+@brief_kernel
+def _transition(
+    H_begin: FloatArray,
+    H_end: FloatArray,
+    Phi: FloatArray,
+    Q: FloatArray,
+    F_clock: FloatArray,
+    Q_clock: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Transition and noise of way, errors and clock: d grows by (H_end·Φ − H_begin)·x."""
+    H_end = H_end.copy()
+    errors = slice(3, 3 + Phi.shape[0] - _FROM)
+    clock = errors.stop
+    size = clock + F_clock.shape[0]
+    F, added = np.eye(size), np.zeros((size, size))
+    F[_WAY, errors] = (H_end @ Phi - H_begin)[:, _FROM:]
+    F[errors, errors] = Phi[_FROM:, _FROM:]
+    into = np.concatenate((H_end, np.eye(Phi.shape[0])[_FROM:]))
+    added[:clock, :clock] = into @ Q @ into.T
+    F[clock:, clock:], added[clock:, clock:] = F_clock, Q_clock
+    return F, added
 
 
 @brief_kernel

@@ -244,6 +244,9 @@ class Screening:
 
     def _know(self, seen: Ranges, misfit_m: FloatArray) -> None:
         """States for whoever is new; the first system's clock is the receiver's."""
+        known = set(self._names)
+        if all(satellite in known for satellite in seen.satellites):  # and so their systems
+            return
         systems = np.array([satellite[0] for satellite in seen.satellites])
         for system in dict.fromkeys(systems):
             if system not in self._names:
@@ -266,9 +269,8 @@ class Screening:
         H = np.zeros((len(seen.satellites), self._x.size))
         H[:, _PLACE], H[:, _BIAS] = -seen.unit_e, 1.0
         column = {name: _FIXED + k for k, name in enumerate(self._names)}
-        rows = np.arange(len(seen.satellites))
-        H[rows, [column[satellite[0]] for satellite in seen.satellites]] = 1.0
-        H[rows, [column[satellite] for satellite in seen.satellites]] = 1.0
+        for row, satellite in enumerate(seen.satellites):
+            H[row, column[satellite[0]]] = H[row, column[satellite]] = 1.0
         return H
 
     def _learn(

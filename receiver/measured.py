@@ -173,5 +173,7 @@ def ranges_from(
         rate_sigma_mps=rate_sigma(errors, cn0_dbhz, measured.rate_sigmas_mps),
     )
     rows = np.flatnonzero(usable & (elevation >= parameters.elevation_mask_rad))
+    if len(rows) == len(every.satellites):
+        return every
     names = tuple(every.satellites[row] for row in rows)
     return Ranges(names, *(column[rows] for column in every[1:]))

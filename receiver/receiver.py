@@ -509,7 +509,7 @@ class Receiver:
         if not measured.epoch.observations:
             return self._unseen(tag_ns, measured, coasting)
         refused = screen(measured) if screen is not None else pvt.NOBODY_REFUSED
-        for channel in self.channels:
+        for channel in self.channels if refused else ():
             if channel.satellite in refused:
                 channel.doubt_code()
         solution = pvt.solve_measured(measured, self.settings.pvt, self.solution, refused)
