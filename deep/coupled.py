@@ -124,8 +124,8 @@ class CoupledNavigation:
         if trajectory is None:
             return self._unaided()
         listeners = [
-            Listener(channel.satellite, channel.signal.id, float(bank.rate_hz))
-            for bank in receiver.banks
+            Listener(channel.satellite, channel.signal.id, rate_hz)
+            for bank, rate_hz in [(bank, float(bank.rate_hz)) for bank in receiver.banks]
             for channel in bank.tracked()
         ]
         known_sps = self._bridge.drift_sps
