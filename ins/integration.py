@@ -24,6 +24,7 @@ from deepgnss.ins.fixes import GnssFix, WheelSpeeds
 from deepgnss.ins.increments import SAME_INSTANT_S
 from deepgnss.ins.measurements import Measurement
 from deepgnss.ins.navigator import InsNavigator
+from deepgnss.ins.past import Past
 from deepgnss.ins.ranging import ClockNoise, RangeEpoch, extra_transition
 from deepgnss.ins.standstill import StandstillLimits, standing
 from deepgnss.ins.trajectory import Trajectory
@@ -181,6 +182,7 @@ class Coupling:
         self._Phi: FloatArray
         self._omega_ib_b = np.zeros(3)
         self._refused = 0
+        self._past = Past()
         self.carried: Trajectory  # the way to the last instant …
         self.expected: Estimate  # … the estimate there before its corrections …
         self.measured: tuple[Measurement, ...] = ()  # … and what spoke of it, believed or not
@@ -216,6 +218,7 @@ class Coupling:
         size = estimate.layout.size
         self._navigator = InsNavigator(estimate, self.noise, None, self.settings.epoch_s)
         self._Phi, self._refused = np.eye(size), 0
+        self._past = Past()
         self.epochs.append(
             FilterEpoch(estimate, np.zeros(size), np.zeros(3), estimate.P, np.eye(size), False)
         )
@@ -290,6 +293,7 @@ class Coupling:
             self._refused = 0 if 2 * sum(believed) >= len(believed) else self._refused + 1
         self._navigator = replace(self._navigator, estimate=after.estimate)
         self._Phi = np.eye(estimate.layout.size)
+        self._past.note(trajectory, after.x)
 
     def _measured(self, instant: Instant, trajectory: Trajectory) -> list[Measurement]:
         estimate, settings = self._navigator.estimate, self.settings
@@ -308,7 +312,7 @@ class Coupling:
             )
             if fix.v_n_mps is not None and fix.velocity_covariance_n_m2ps2 is not None:
                 v = models.velocity(antenna, fix.v_n_mps, fix.velocity_covariance_n_m2ps2)
-                found.append(_aged(v, fix.velocity_age_s, trajectory))
+                found.append(self._past.aged(v, fix.velocity_age_s, trajectory, estimate.P))
         if self._stands(instant):
             lengths_s = np.diff(trajectory.time_s)
             rate = lengths_s @ trajectory.omega_ib_b_radps / lengths_s.sum()
@@ -362,17 +366,6 @@ class Coupling:
         rate = block.dtheta_b_rad[first : row + 1].sum(axis=0) / passed_s
         turning = rate - self._navigator.estimate.ins.gyro_bias_radps
         return bool(np.linalg.norm(turning) > TURNING_RADPS)
-
-
-def _aged(velocity: Measurement, age_s: float, trajectory: Trajectory) -> Measurement:
-    """A velocity carried on by the increments: what they were wrong by since is in both."""
-    if age_s == 0.0:
-        return velocity
-    Phi, H = trajectory.Phi, velocity.H.copy()
-    passed_s = float(trajectory.time_s[-1] - trajectory.time_s[0])
-    growth_ps = (Phi[VELOCITY] - np.eye(Phi.shape[0])[VELOCITY]) / passed_s
-    H[:, : Phi.shape[0]] -= age_s * growth_ps
-    return velocity._replace(H=H)
 
 
 def _instants(

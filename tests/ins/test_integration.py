@@ -30,10 +30,8 @@ from deepgnss.ins.integration import (
     Integration,
     Settings,
     Vehicle,
-    _aged,
     integrate,
 )
-from deepgnss.ins.measurements import Measurement
 from deepgnss.ins.navigator import InsNavigator
 from deepgnss.ins.smoother import smoothed
 from deepgnss.ins.updates import counts
@@ -341,25 +339,3 @@ def test_course_of_a_run_does_not_depend_on_how_often_it_is_stored() -> None:
     sigma = np.sqrt(np.diagonal(one.P))
     assert np.all(np.abs(apart[:15]) < 0.02 * sigma)
     np.testing.assert_allclose(np.sqrt(np.diagonal(two.P)), sigma, rtol=0.01)
-
-
-def test_a_velocity_carried_on_is_seen_with_the_errors_of_then() -> None:
-    """H at the end of a leg gives the error at its begin; what lies between is of second order."""
-    truth = drive(60.0)
-    block, errors = sensed(truth, MTI_G, 3)
-    rng = np.random.default_rng(3)
-    navigator = InsNavigator(started(truth, MTI_G, errors, Layout(), rng), process_noise(MTI_G))
-    _, leg = navigator.advance(rows(block, 0, 20), 0.2)
-    H = np.hstack([np.zeros((3, 3)), np.eye(3), np.zeros((3, 9))])
-    now = Measurement("velocity", np.zeros(3), H, np.eye(3))
-    then = _aged(now, 0.2, leg)
-    for k in (
-        6,
-        7,
-        12,
-        13,
-        14,
-    ):  # tilts and biases of accelerometers: what lets a velocity run away
-        x = 1e-2 * np.eye(15)[k]
-        grown = (leg.Phi @ x)[3:6]
-        assert np.linalg.norm(then.H @ leg.Phi @ x) < 0.05 * np.linalg.norm(grown)
