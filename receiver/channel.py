@@ -661,8 +661,12 @@ class Channel:
         As long as it is told so it stays wide, so that a reflection is left as soon as it ends, and
         keeps no rate, by which it would go too far. Nor is the phase the satellite's own: nothing
         of it is carried through an open loop, or put right by whole or half cycles.
+
+        A signal too weak for its phase is refused for its noise, most likely, of which a wide loop
+        has more than any range may be off: it stays as it is.
         """
-        self.code_loop.widen(self.command.sample)
+        if self.mode is not Mode.WEAK:
+            self.code_loop.widen(self.command.sample)
         self.nco.code_offset_hz = 0.0
         self._doubted_at = self.command.sample
 

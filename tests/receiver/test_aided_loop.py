@@ -86,6 +86,20 @@ def test_what_a_fix_corrects_does_not_shake_frequency_tracking() -> None:
     assert ends[0].carrier_hz == pytest.approx(model.doppler_hz + 9.0 * 8.0, abs=1.0)
 
 
+def test_a_weak_signal_s_code_loop_stays_as_it_is_when_its_range_is_refused() -> None:
+    """At 20 dB-Hz a wide loop on windows has 12 m of noise: refused for that, it stays refused."""
+    model = Model(lambda t: 45.0 if t < 6.0 else 20.0, rate_hzps=8.0)
+    channel = start(model, TrackingSettings())
+    for k in range(180):
+        if k > 120:
+            channel.doubt_code()
+        go_on(channel, 0.1 * (k + 1), told(model))
+        if k > 120:
+            assert abs(code_error_m(model, channel.history[-1])) < 10.0
+    assert channel.mode is Mode.WEAK
+    assert channel.report("").code_bandwidth_hz == pytest.approx(0.1)
+
+
 REFLECTED_CHIPS = -0.045  # 13 m behind
 REFLECTED_M = -REFLECTED_CHIPS * SPEED_OF_LIGHT_MPS / 1.023e6
 
