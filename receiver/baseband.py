@@ -441,6 +441,12 @@ class RunningSumBuffer:
         )
         return written
 
+    def go_on_from(self, other: RunningSumBuffer, sample: int) -> None:
+        """Go on where another one of the same stream and carrier ends, with its entries from a
+        sample on."""
+        self._take(other, other._before(sample))
+        self._total, self.end = other._total, other.end
+
     def keep_from(self, sample: int) -> None:
         """Samples before this one are not needed any more; their room is used when it runs out."""
         self._needed = sample
@@ -448,13 +454,20 @@ class RunningSumBuffer:
     def _make_room(self, samples: int) -> None:
         if self._entries + samples // self._thin + 1 <= self._packed.size:
             return
-        drop = min(max(0, (self._needed - self.first) // self._thin), self._entries - 1)
-        kept = self._entries - drop
-        self._packed[:kept] = self._packed[drop : self._entries]
-        self._entries = kept
-        self.first += drop * self._thin
+        self._take(self, self._before(self._needed))
         if self._entries + samples // self._thin + 1 > self._packed.size:
             raise ValueError(f"{samples} more samples do not fit the window of running sums")
+
+    def _before(self, sample: int) -> int:
+        """Entries that nobody needs who looks at nothing before a sample."""
+        return min(max(0, (sample - self.first) // self._thin), self._entries - 1)
+
+    def _take(self, other: RunningSumBuffer, drop: int) -> None:
+        """Hold the entries of a buffer but for its first ones."""
+        kept = other._entries - drop
+        self._packed[:kept] = other._packed[drop : other._entries]
+        self._entries = kept
+        self.first = other.first + drop * self._thin
 
     @property
     def sums(self) -> RunningSums:

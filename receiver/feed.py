@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from threading import Lock
 
 from deepgnss.core.records import RunningSums, SampleBlock, StreamInfo
 from deepgnss.receiver.baseband import RunningSumBuffer, running_sums
@@ -34,16 +35,31 @@ class SumFeed:
         self._carrier_hz = carrier_hz
         self._block = max(1, round(block_s * rate))
         self._history = round(_HISTORY_S * rate)
-        self._buffer = RunningSumBuffer(stream, carrier_hz, 2 * self._history + self._block)
-        self._buffer.restart(first)
+        room = self._history + 1 + self._block
+        self._now, self._next = (RunningSumBuffer(stream, carrier_hz, room) for _ in range(2))
+        self._now.restart(first)
+        self._ready = False  # whether the next block is summed
+        self._lock = Lock()
+
+    def prepare(self, end: int) -> None:
+        """Sum the next block, up to sample `end` at most, while the present one is still in use.
+
+        Any thread may.
+        """
+        with self._lock:
+            first = self._now.end
+            if self._ready or first >= end:
+                return
+            self._next.go_on_from(self._now, first - self._history)
+            self._next.append(self._read(first, min(self._block, end - first)))
+            self._ready = True
 
     def advance(self, end: int) -> Iterator[RunningSums]:
-        """Go on to sample `end`; each of the sums given holds one more block."""
-        while self._buffer.end < end:
-            count = min(self._block, end - self._buffer.end)
-            self._buffer.keep_from(self._buffer.end - self._history)
-            self._buffer.append(self._read(self._buffer.end, count))
-            yield self._buffer.sums
+        """Go on to sample `end`; each of the sums given holds one more block, until the next."""
+        while self._now.end < end:
+            self.prepare(end)
+            self._now, self._next, self._ready = self._next, self._now, False
+            yield self._now.sums
 
     def over(self, first: int, count: int) -> RunningSums:
         """Running sums of samples [first, first + count), wherever they are."""
