@@ -17,6 +17,8 @@ from typing import Any, TypeVar, cast
 
 from llvmlite.binding import get_host_cpu_features, llvm_version_info
 
+__all__ = ["brief_kernel", "compilable", "kernel", "overload", "summing_kernel"]
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 _KNOWS_GATHER = 18  # LLVM: first version with that choice
@@ -45,7 +47,7 @@ for _name, _value in {"NUMBA_CACHE_DIR": str(_cache_folder()), **_without_gather
     os.environ.setdefault(_name, _value)
 
 import numba  # noqa: E402  (reads both when imported)
-from numba.extending import register_jitable  # noqa: E402
+from numba.extending import overload, register_jitable  # noqa: E402
 
 
 def kernel(function: _Function) -> _Function:

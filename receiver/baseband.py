@@ -7,12 +7,12 @@ look-ups per tap. Kernels here know samples and chips only, nothing of satellite
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deepgnss.core.jit import kernel, summing_kernel
+from deepgnss.core.jit import compilable, kernel, overload, summing_kernel
 from deepgnss.core.records import (
     ComplexArray,
     FloatArray,
@@ -88,6 +88,63 @@ def sum_packed(
         total = rest[b * per_byte + per_byte - 1]
     for k in range(rest.size - whole.size * per_byte):
         rest[whole.size * per_byte + k] = total + increments[k][data[data.size - 1]]
+
+
+class Packed(NamedTuple):
+    """Complex samples to be summed as they are, in the bytes their file has."""
+
+    data: NDArray[np.uint8]
+    skip: int  # samples of the first byte that come before
+    increments: tuple[NDArray[np.int64], ...]  # as of `sum_packed`
+
+
+class Plain(NamedTuple):
+    """Complex samples to be summed as they are."""
+
+    samples: Samples  # (n, 2)
+
+
+Summable = Packed | Plain
+
+
+def sum_stretch(source: Summable, first: int, total: np.int64, out: NDArray[np.int64]) -> np.int64:
+    """Continue a running sum over the samples from `first` of the source on; the total after them.
+
+    out: (samples,), not empty.
+    """
+    if isinstance(source, Packed):
+        return _stretch_of_packed(source, first, total, out)
+    return _stretch_of_plain(source, first, total, out)
+
+
+@compilable
+def _stretch_of_packed(
+    source: Packed, first: int, total: np.int64, out: NDArray[np.int64]
+) -> np.int64:
+    per_byte = len(source.increments)
+    before = source.skip + first
+    data = source.data[before // per_byte : -(-(before + out.size) // per_byte)]
+    sum_packed(data, before % per_byte, source.increments, total, out)
+    return np.int64(out[out.size - 1])
+
+
+@compilable
+def _stretch_of_plain(
+    source: Plain, first: int, total: np.int64, out: NDArray[np.int64]
+) -> np.int64:
+    total, _ = sum_complex(source.samples[first : first + out.size], total, 1, 1, out)
+    return total
+
+
+@overload(sum_stretch)  # type: ignore[untyped-decorator]
+def _sum_stretch(source: Any, first: Any, total: Any, out: Any) -> Any:
+    """What `sum_stretch` is in a kernel: the kind of source is known when it is compiled."""
+    chosen = _stretch_of_packed if source.instance_class is Packed else _stretch_of_plain
+
+    def stretch(source: Any, first: Any, total: Any, out: Any) -> Any:
+        return chosen(source, first, total, out)
+
+    return stretch
 
 
 @kernel
@@ -399,30 +456,38 @@ class RunningSumBuffer:
         count = block.count
         self._make_room(count)
         out = self._packed[self._entries :]
-        held, mixed = block.held, self._increment != 0 or not block.stream.is_complex
         with np.errstate(over="ignore"):  # as plain Python the wrap-around would be remarked on
-            if isinstance(held, PackedSamples) and not mixed and self._thin == 1:
-                self._sum_packed(held, out[:count])
+            if self.as_they_are and isinstance(block.held, PackedSamples):
+                if count:
+                    source = self.summable(block)
+                    self._total = sum_stretch(source, 0, self._total, out[:count])
                 written = count
             else:
-                written = self._sum(block.samples, mixed, out)
+                written = self._sum(block, out)
         self._entries += written
         self.end += count
 
-    def _sum_packed(self, held: PackedSamples, out: NDArray[np.int64]) -> None:
+    @property
+    def as_they_are(self) -> bool:
+        """Whether samples are summed as they are: neither mixed nor thinned."""
+        return self._increment == 0 and self._stream.is_complex and self._thin == 1
+
+    def summable(self, block: SampleBlock) -> Summable:
+        """Samples that are summed as they are, for kernels that do it themselves."""
+        held = block.held
+        if not isinstance(held, PackedSamples):
+            return Plain(held)
         if not self._increments:
             values = held.table.astype(np.int64)
             self._increments = (
                 *np.cumsum((values[..., 0] << 32) + values[..., 1], axis=1).T.copy(),
             )
-        if held.count:
-            sum_packed(held.data, held.skip, self._increments, self._total, out)
-            self._total = out[-1]
+        return Packed(held.data, held.skip, self._increments)
 
-    def _sum(self, samples: Samples, mixed: bool, out: NDArray[np.int64]) -> int:
+    def _sum(self, block: SampleBlock, out: NDArray[np.int64]) -> int:
         """Entries written."""
-        lead = self._thin - self.end % self._thin
-        if not mixed:
+        samples, lead = block.samples, self._thin - self.end % self._thin
+        if self._increment == 0 and block.stream.is_complex:
             self._total, written = sum_complex(samples, self._total, lead, self._thin, out)
             return written
         if self._table is None:
@@ -441,12 +506,6 @@ class RunningSumBuffer:
         )
         return written
 
-    def go_on_from(self, other: RunningSumBuffer, sample: int) -> None:
-        """Go on where another one of the same stream and carrier ends, with its entries from a
-        sample on."""
-        self._take(other, other._before(sample))
-        self._total, self.end = other._total, other.end
-
     def keep_from(self, sample: int) -> None:
         """Samples before this one are not needed any more; their room is used when it runs out."""
         self._needed = sample
@@ -454,20 +513,13 @@ class RunningSumBuffer:
     def _make_room(self, samples: int) -> None:
         if self._entries + samples // self._thin + 1 <= self._packed.size:
             return
-        self._take(self, self._before(self._needed))
+        drop = min(max(0, (self._needed - self.first) // self._thin), self._entries - 1)
+        kept = self._entries - drop
+        self._packed[:kept] = self._packed[drop : self._entries]
+        self._entries = kept
+        self.first += drop * self._thin
         if self._entries + samples // self._thin + 1 > self._packed.size:
             raise ValueError(f"{samples} more samples do not fit the window of running sums")
-
-    def _before(self, sample: int) -> int:
-        """Entries that nobody needs who looks at nothing before a sample."""
-        return min(max(0, (sample - self.first) // self._thin), self._entries - 1)
-
-    def _take(self, other: RunningSumBuffer, drop: int) -> None:
-        """Hold the entries of a buffer but for its first ones."""
-        kept = other._entries - drop
-        self._packed[:kept] = other._packed[drop : other._entries]
-        self._entries = kept
-        self.first = other.first + drop * self._thin
 
     @property
     def sums(self) -> RunningSums:

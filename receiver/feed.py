@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from threading import Lock
+from typing import NamedTuple
 
 from deepgnss.core.records import RunningSums, SampleBlock, StreamInfo
-from deepgnss.receiver.baseband import RunningSumBuffer, running_sums
+from deepgnss.receiver.baseband import RunningSumBuffer, Summable, running_sums
 
 ReadSamples = Callable[[int, int], SampleBlock]
 """Samples [first, first + count) of a stream."""
@@ -14,6 +14,15 @@ ReadSamples = Callable[[int, int], SampleBlock]
 _CACHED_BYTES = 2_800_000  # of running sums in a block: all channels read them from the cache
 _LONGEST_BLOCK_S = 0.02
 _HISTORY_S = 0.0015  # kept of the block before: a code period that began there, and margins
+
+
+class Stretch(NamedTuple):
+    """Samples of an epoch for kernels that sum themselves."""
+
+    source: Summable
+    samples: int
+    first: int  # sample they begin at
+    kept: int  # sums that may be looked back at
 
 
 class SumFeed:
@@ -35,31 +44,37 @@ class SumFeed:
         self._carrier_hz = carrier_hz
         self._block = max(1, round(block_s * rate))
         self._history = round(_HISTORY_S * rate)
-        room = self._history + 1 + self._block
-        self._now, self._next = (RunningSumBuffer(stream, carrier_hz, room) for _ in range(2))
-        self._now.restart(first)
-        self._ready = False  # whether the next block is summed
-        self._lock = Lock()
+        self._buffer = RunningSumBuffer(stream, carrier_hz, 2 * self._history + self._block)
+        self._buffer.restart(first)
+        self._first = self._at = self._buffer.end
 
-    def prepare(self, end: int) -> None:
-        """Sum the next block, up to sample `end` at most, while the present one is still in use.
+    def stretch(self, end: int) -> Stretch | None:
+        """Samples up to `end`, with what stands before them, for kernels that sum themselves.
 
-        Any thread may.
+        None: they have to be taken block by block.
         """
-        with self._lock:
-            first = self._now.end
-            if self._ready or first >= end:
-                return
-            self._next.go_on_from(self._now, first - self._history)
-            self._next.append(self._read(first, min(self._block, end - first)))
-            self._ready = True
+        if not self._buffer.as_they_are:
+            return None
+        first = max(self._first, self._at - self._history)
+        source = self._buffer.summable(self._read(first, end - first))
+        return Stretch(source, end - first, first, self._history)
+
+    def pass_over(self, end: int) -> None:
+        """Go on to sample `end` without sums: nobody wants them."""
+        self._at = end
 
     def advance(self, end: int) -> Iterator[RunningSums]:
-        """Go on to sample `end`; each of the sums given holds one more block, until the next."""
-        while self._now.end < end:
-            self.prepare(end)
-            self._now, self._next, self._ready = self._next, self._now, False
-            yield self._now.sums
+        """Go on to sample `end`; each of the sums given holds one more block."""
+        buffer = self._buffer
+        if buffer.end < self._at:
+            buffer.restart(max(self._first, self._at - self._history))
+            buffer.append(self._read(buffer.end, self._at - buffer.end))
+        while buffer.end < end:
+            count = min(self._block, end - buffer.end)
+            buffer.keep_from(buffer.end - self._history)
+            buffer.append(self._read(buffer.end, count))
+            yield buffer.sums
+        self._at = end
 
     def over(self, first: int, count: int) -> RunningSums:
         """Running sums of samples [first, first + count), wherever they are."""

@@ -7,7 +7,9 @@ interpreter, so that the channels of two streams run at the same time.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -17,8 +19,10 @@ from deepgnss.core.jit import kernel
 from deepgnss.core.records import ComplexArray, FloatArray, NcoCommand, RunningSums
 from deepgnss.receiver.baseband import NOTHING_SHARED, correlate_periods
 from deepgnss.receiver.channel import Channel
+from deepgnss.receiver.feed import Stretch, SumFeed
 from deepgnss.receiver.modes import AidingSource, Mode, unaided
 from deepgnss.receiver.signals import Signal, code_table
+from deepgnss.receiver.steady import NEAR_ENTRIES, run_stretch
 from deepgnss.receiver.steady_group import SteadyGroup, steady
 
 
@@ -79,17 +83,67 @@ class Rack:
             else:
                 self._others.append(channel)
         self._groups = [SteadyGroup(group, aiding, end) for group in groups.values()]
+        self._gone_through = False  # whether the groups have reached the epoch's end
+
+    def go_through(self, stretch: Stretch) -> None:
+        """Track steady channels through the samples of an epoch, summed on the way."""
+        self._gone_through = True
+        if not self._groups:
+            return
+        room = np.empty(max(NEAR_ENTRIES, 3 * stretch.kept), dtype=np.int64)
+        run_stretch(*stretch, room, tuple(group.side for group in self._groups))
+        for group in self._groups:
+            self._others += group.stopped()
+
+    @property
+    def has_steady(self) -> bool:
+        """Whether there are channels that can go through the epoch by themselves."""
+        return bool(self._groups)
+
+    @property
+    def wants_sums(self) -> bool:
+        """Whether there are channels that can not, or have not."""
+        return bool(self._others)
 
     def advance(self, sums: RunningSums) -> None:
         """Track as far as the running sums go."""
-        for group in self._groups:
-            self._others += group.run(sums)
+        if not self._gone_through:
+            for group in self._groups:
+                self._others += group.run(sums)
         run_together(self._others, sums, self._aiding)
 
     def finish(self) -> None:
         """The epoch is over."""
         for group in self._groups:
             group.hand_back()
+
+
+def run_epoch(
+    racks: Sequence[Rack], feed: SumFeed, end: int, executor: Executor | None = None
+) -> None:
+    """Track the channels of a stream up to sample `end`, at which the epoch is over.
+
+    Steady ones come first, which sum what they go over; the others go block by block, so that the
+    sums are still in the cache. executor: for the racks behind the first one.
+    """
+    has_steady = any(rack.has_steady for rack in racks)
+    stretch = feed.stretch(end) if has_steady else None
+    if stretch is not None:
+        _each(partial(Rack.go_through, stretch=stretch), racks, executor)
+    if (has_steady and stretch is None) or any(rack.wants_sums for rack in racks):
+        for sums in feed.advance(end):
+            _each(partial(Rack.advance, sums=sums), racks, executor)
+    else:
+        feed.pass_over(end)
+    for rack in racks:
+        rack.finish()
+
+
+def _each(do: Callable[[Rack], None], racks: Sequence[Rack], executor: Executor | None) -> None:
+    tasks = [executor.submit(do, rack) for rack in racks[1:] if executor]
+    do(racks[0])
+    for task in tasks:
+        task.result()
 
 
 def run_together(

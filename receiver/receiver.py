@@ -39,7 +39,7 @@ from deepgnss.receiver.known_symbols import KnownSymbols
 from deepgnss.receiver.measured import Measured, measure
 from deepgnss.receiver.messages import Frame, News, Subframe
 from deepgnss.receiver.modes import AidingSource, Coast, Mode, TrackingSettings
-from deepgnss.receiver.rack import Rack
+from deepgnss.receiver.rack import Rack, run_epoch
 from deepgnss.receiver.search import Assistance, Place, SearchSettings
 from deepgnss.receiver.signals import Signal
 
@@ -262,7 +262,7 @@ class Receiver:
     ) -> None:
         """Run all channels to the end: streams at the same time, their workers share channels.
 
-        The one that takes longest begins, and the others sum its samples.
+        The one that takes longest begins.
         """
         for channel in self.channels:
             channel.begin_epoch()
@@ -270,7 +270,7 @@ class Receiver:
         workers = max(1, self._workers // len(names)) if executor is not None else 1
 
         def through(name: str) -> None:
-            self._run_stream(name, feeds, end, aiding, workers, names[0])
+            self._run_stream(name, feeds[name], end, aiding, workers)
 
         if executor is None or len(names) == 1:
             for name in names:
@@ -297,27 +297,17 @@ class Receiver:
     def _run_stream(
         self,
         name: str,
-        feeds: Mapping[str, SumFeed],
+        feed: SumFeed,
         end: int,
         aiding: Mapping[str, AidingSource],
         workers: int,
-        costliest: str,
     ) -> None:
-        """Run the channels of a signal's name, block by block: its sums are still in the cache."""
+        """Run the channels of a signal's name, dealt to so many workers."""
         banks = self._banks_of(name)
         channels = [channel for bank in banks for channel in bank.tracked()]
-        executor = self._executor
-        ends = {one: self.sample_in(self._banks_of(one)[0].rate_hz, end) for one in feeds}
-        racks = [Rack(channels[k::workers], aiding, ends[name]) for k in range(workers)]
-        for sums in feeds[name].advance(ends[name]):
-            tasks = [executor.submit(rack.advance, sums) for rack in racks[1:] if executor]
-            racks[0].advance(sums)
-            for task in tasks:
-                task.result()
-            if executor and name != costliest:
-                feeds[costliest].prepare(ends[costliest])
-        for rack in racks:
-            rack.finish()
+        end = self.sample_in(banks[0].rate_hz, end)
+        racks = [Rack(channels[k::workers], aiding, end) for k in range(workers)]
+        run_epoch(racks, feed, end, self._executor)
 
     def _retire(self) -> None:
         for bank in self.banks:

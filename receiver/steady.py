@@ -20,7 +20,12 @@ from numpy.typing import NDArray
 from deepgnss.core.jit import compilable, kernel
 from deepgnss.core.loops import LoopGains
 from deepgnss.core.records import ComplexArray, FloatArray, NcoCommand
-from deepgnss.receiver.baseband import NOTHING_SHARED, correlate_periods
+from deepgnss.receiver.baseband import (
+    NOTHING_SHARED,
+    Summable,
+    correlate_periods,
+    sum_stretch,
+)
 from deepgnss.receiver.decisions import Calm, in_order, lately_dbhz
 from deepgnss.receiver.discriminators import costas_arctan, early_minus_late_envelope
 from deepgnss.receiver.generators import (
@@ -49,7 +54,8 @@ from deepgnss.receiver.open_loop import MEAN_S, learnt, offset_of
 from deepgnss.receiver.sync import decided_signs
 from deepgnss.receiver.trackers import NO_CORRECTION, Correction, NcoState, smoothed_hz, totals
 
-_NEAR_ENTRIES = 65_536  # of running sums, half a MB: all channels go over them before they go on
+NEAR_ENTRIES = 65_536
+"""Of running sums, half a MB: all channels go over them before they go on."""
 
 
 class State(NamedTuple):
@@ -140,58 +146,87 @@ class Loops(NamedTuple):
     fast_s: float
 
 
-@kernel
-def run_steady(
-    packed: NDArray[np.int64],
-    first: int,
-    step: int,
-    scale: float,
-    loops: Loops,
-    edges: FloatArray,
-    signs: FloatArray,
-    runs: NDArray[np.int64],
-    taps_chips: FloatArray,
-    secondary: FloatArray,
-    shifts: ComplexArray,
-    states: NDArray[np.void],
-    recent: FloatArray,
-    taken: ComplexArray,
-    cycles: FloatArray,
-    told: NDArray[np.void],
-    symbols: NDArray[np.uint8],
-) -> None:
-    """Track n channels as far as running sums go (`packed` from sample `first` on, `scale`).
+class Side(NamedTuple):
+    """n steady channels of a signal side by side, and what comes of them."""
 
-    edges, signs, runs: all codes (`CodeTable`). secondary: (periods,) signs over an update.
-    shifts: `half_shifts`. By channel: states (n,) `State`, recent (n, RECENT_KEPT) powers, the
-    last one last, taken (n, periods, taps), cycles (n, points) of the predictions. What comes of
-    it: told (n, updates) `Update`, symbols (n, updates, symbols) 1 for negative.
+    loops: Loops
+    # All codes (`CodeTable`).
+    edges: FloatArray
+    signs: FloatArray
+    runs: NDArray[np.int64]
+    taps_chips: FloatArray
+    secondary: FloatArray  # (periods,) signs over an update
+    shifts: ComplexArray  # `half_shifts`
+    # By channel.
+    states: NDArray[np.void]  # (n,) `State`
+    recent: FloatArray  # (n, RECENT_KEPT) powers, the last one last
+    taken: ComplexArray  # (n, periods, taps)
+    cycles: FloatArray  # (n, points) of the predictions
+    steps: FloatArray  # (n, 4, edges) phasors of the command under way, …
+    shared: NDArray[np.int64]  # (n,) … and whose (`correlate_periods`)
+    # What comes of it.
+    told: NDArray[np.void]  # (n, updates) `Update`
+    symbols: NDArray[np.uint8]  # (n, updates, symbols) 1 for negative
+
+
+@kernel
+def run_stretch(
+    source: Summable,
+    count: int,
+    first: int,
+    kept: int,
+    room: NDArray[np.int64],
+    sides: tuple[Side, ...],
+) -> None:
+    """Track channels through `count` samples of a source, which begin at sample `first`.
+
+    They are summed a stretch at a time, so that sums stay in the nearest cache; `kept` of them
+    before a stretch. room: (entries,) for sums, more than twice as many as are kept.
     """
+    room[0] = 0
+    total = np.int64(0)
+    held, done, begin = 1, 0, first
+    while done < count:
+        new = min(room.size - held, count - done)
+        total = sum_stretch(source, done, total, room[held : held + new])
+        held += new
+        done += new
+        for side in sides:
+            run_steady(room[:held], begin, 1, 1.0, side)
+        drop = max(0, held - 1 - kept)
+        for k in range(held - drop):
+            room[k] = room[k + drop]
+        held -= drop
+        begin += drop
+
+
+@kernel
+def run_steady(packed: NDArray[np.int64], first: int, step: int, scale: float, side: Side) -> None:
+    """Track channels as far as running sums go (`packed` from sample `first` on, `scale`)."""
+    loops, taken, told = side.loops, side.taken, side.told
     stripped = np.empty(taken.shape[1:], dtype=np.complex128)
-    steps = np.empty((states.size, 4, edges.shape[1]))
-    shared = np.full(states.size, NOTHING_SHARED)
-    for entries in range(_NEAR_ENTRIES, packed.size + _NEAR_ENTRIES, _NEAR_ENTRIES):
+    for entries in range(NEAR_ENTRIES, packed.size + NEAR_ENTRIES, NEAR_ENTRIES):
         end = first + (min(entries, packed.size) - 1) * step
-        for k in range(states.size):
-            s = states[k]
+        for k in range(side.states.size):
+            s = side.states[k]
             row = s.row
             while s.stopped == 0 and s.updates < told.shape[1]:
                 command = command_of(s)
                 there = min(periods_before(loops.rates, command, end - loops.margin), loops.periods)
                 if there > s.filled:
                     due = taken[k, s.filled : there]
-                    shared[k] = correlate_periods(
+                    side.shared[k] = correlate_periods(
                         packed,
                         first,
                         step,
                         loops.rates.sample_hz,
                         command,
-                        edges[row, : runs[row] + 1],
-                        signs[row, : runs[row]],
-                        taps_chips,
+                        side.edges[row, : side.runs[row] + 1],
+                        side.signs[row, : side.runs[row]],
+                        side.taps_chips,
                         s.filled,
-                        shared[k],
-                        steps[k],
+                        side.shared[k],
+                        side.steps[k],
                         due,
                     )
                     if scale != 1.0:
@@ -203,16 +238,16 @@ def run_steady(
                     loops,
                     command,
                     taken[k],
-                    secondary,
-                    shifts,
+                    side.secondary,
+                    side.shifts,
                     s,
-                    recent[k],
-                    cycles[k, : s.points],
+                    side.recent[k],
+                    side.cycles[k, : s.points],
                     told[k, s.updates],
-                    symbols[k, s.updates],
+                    side.symbols[k, s.updates],
                     stripped,
                 )
-                shared[k] = NOTHING_SHARED
+                side.shared[k] = NOTHING_SHARED
 
 
 @compilable

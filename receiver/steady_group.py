@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from deepgnss.core.records import FloatArray, RunningSums
+from deepgnss.receiver.baseband import NOTHING_SHARED
 from deepgnss.receiver.channel import Channel
 from deepgnss.receiver.decisions import calm
 from deepgnss.receiver.leading import NO_GRID, Profile
 from deepgnss.receiver.locks import RECENT_KEPT, half_shifts
 from deepgnss.receiver.modes import AidingSource, Mode, unaided
 from deepgnss.receiver.signals import code_table
-from deepgnss.receiver.steady import Loops, State, records, run_steady
+from deepgnss.receiver.steady import Loops, Side, State, records, run_steady
 from deepgnss.receiver.updates import Update, in_a_row
 
 
@@ -98,55 +99,47 @@ class SteadyGroup:
     ) -> None:
         one = channels[0]
         self._channels = dict(enumerate(channels))
-        self._loops = loops_of(one)
-        self._taps_chips = one.taps_chips
-        self._table = code_table(one.signal.id.name)
-        count, periods = len(channels), self._loops.periods
-        of_update = periods // self._loops.symbol_periods
-        self._secondary = one.stream.over(of_update)
-        self._shifts = half_shifts(self._loops.symbol_periods)
-        update_samples = periods * self._loops.period_s * self._loops.rates.sample_hz
+        self._sources = [aiding.get(channel.satellite, unaided) for channel in channels]
+        loops, table = loops_of(one), code_table(one.signal.id.name)
+        count, periods = len(channels), loops.periods
+        of_update = periods // loops.symbol_periods
+        update_samples = periods * loops.period_s * loops.rates.sample_hz
         updates = 2 + int((end - min(c.command.sample for c in channels)) / update_samples)
-        self._recent = np.zeros((count, RECENT_KEPT))
-        self._taken = np.zeros((count, periods, one.taps_chips.size), dtype=np.complex128)
+        most = max(s.cycles.size if isinstance(s, Profile) else 0 for s in self._sources)
         self._states = np.zeros(count, records(State))
         self._told = np.zeros((count, updates), records(Update))
-        # Records have attributes in compiled code; in plain Python it takes these views.
-        self._state_records = self._states.view(np.recarray)
-        self._told_records = self._told.view(np.recarray)
-        self._symbols = np.zeros((count, updates, of_update), dtype=np.uint8)
-        self._sources = [aiding.get(channel.satellite, unaided) for channel in channels]
-        most = max(s.cycles.size if isinstance(s, Profile) else 0 for s in self._sources)
-        self._cycles = np.zeros((count, most))
+        self.side = Side(
+            loops,
+            table.edges,
+            table.signs,
+            table.runs,
+            one.taps_chips,
+            one.stream.over(of_update),
+            half_shifts(loops.symbol_periods),
+            # Records have attributes in compiled code; in plain Python they have in these views.
+            self._states.view(np.recarray),
+            np.zeros((count, RECENT_KEPT)),
+            np.zeros((count, periods, one.taps_chips.size), dtype=np.complex128),
+            np.zeros((count, most)),
+            np.empty((count, 4, table.edges.shape[1])),
+            np.full(count, NOTHING_SHARED),
+            self._told.view(np.recarray),
+            np.zeros((count, updates, of_update), dtype=np.uint8),
+        )
         for k, (channel, source) in enumerate(zip(channels, self._sources, strict=True)):
             if isinstance(source, Profile):
-                self._cycles[k, : source.cycles.size] = source.cycles
-            row = self._table.rows[channel.prn]
-            self._recent[k] = channel.locks.recent
-            channel.intake.copy_to(self._taken[k])
-            self._states[k] = state_of(channel, source, row)
+                self.side.cycles[k, : source.cycles.size] = source.cycles
+            self.side.recent[k] = channel.locks.recent
+            channel.intake.copy_to(self.side.taken[k])
+            self._states[k] = state_of(channel, source, table.rows[channel.prn])
 
     def run(self, sums: RunningSums) -> list[Channel]:
         """Track as far as the running sums go; channels that have to go on by themselves."""
-        run_steady(
-            sums.packed,
-            sums.first,
-            sums.step,
-            sums.scale,
-            self._loops,
-            self._table.edges,
-            self._table.signs,
-            self._table.runs,
-            self._taps_chips,
-            self._secondary,
-            self._shifts,
-            self._state_records,
-            self._recent,
-            self._taken,
-            self._cycles,
-            self._told_records,
-            self._symbols,
-        )
+        run_steady(sums.packed, sums.first, sums.step, sums.scale, self.side)
+        return self.stopped()
+
+    def stopped(self) -> list[Channel]:
+        """Channels that have to go on by themselves, let go."""
         stopped = np.flatnonzero(self._states["stopped"]).tolist()
         return [self._back(k) for k in stopped if k in self._channels]
 
@@ -159,9 +152,9 @@ class SteadyGroup:
         channel, state = self._channels.pop(k), State(*self._states[k].item())
         if state.updates:
             updates = self._told[k, : state.updates].tolist()
-            symbols = self._symbols[k, : state.updates].tobytes()
-            take_back(channel, state, self._recent[k], updates, symbols, self._sources[k])
-        channel.intake.refill(self._taken[k, : state.filled])
+            symbols = self.side.symbols[k, : state.updates].tobytes()
+            take_back(channel, state, self.side.recent[k], updates, symbols, self._sources[k])
+        channel.intake.refill(self.side.taken[k, : state.filled])
         return channel
 
 

@@ -21,7 +21,13 @@ from sampled_code import (
 )
 
 from deepgnss.core.records import PackedSamples, RunningSums, SampleBlock, StreamInfo
-from deepgnss.receiver.baseband import RunningSumBuffer, correlate, resample, running_sums
+from deepgnss.receiver.baseband import (
+    RunningSumBuffer,
+    correlate,
+    resample,
+    running_sums,
+    sum_stretch,
+)
 from deepgnss.receiver.signals import ca_code, code_runs
 
 pytestmark = pytest.mark.kernel
@@ -241,6 +247,38 @@ def test_packed_samples_add_up_to_the_same_bits(
         np.testing.assert_array_equal(held.unpacked(), whole.samples[first:last])
         packed.append(SampleBlock(info, first, held))
     np.testing.assert_array_equal(packed.sums.packed, plain.sums.packed)
+
+
+@pytest.mark.parametrize("skip", [0, 1, 3])
+@pytest.mark.parametrize("per_byte", [1, 2, 4])
+@given(cuts=st.lists(st.integers(1, 300), max_size=8))
+@settings(deadline=None, derandomize=True, max_examples=25)
+def test_stretches_add_up_to_the_same_bits(per_byte: int, skip: int, cuts: list[int]) -> None:
+    """Stretches of one block, packed or plain, against the block at once."""
+    skip %= per_byte
+    info, generator = stream(2.6e6), np.random.default_rng([per_byte, skip, *cuts])
+    table = generator.integers(-128, 127, (256, per_byte, 2), endpoint=True).astype(np.int8)
+    data = generator.integers(0, 256, (skip + 301) // per_byte + 2).astype(np.uint8)
+    packed = SampleBlock(info, 0, PackedSamples(data, table, skip, 301))
+    buffer = RunningSumBuffer(info, CARRIER_HZ, 400)
+    buffer.append(SampleBlock(info, 0, packed.samples))
+    for block in (packed, SampleBlock(info, 0, packed.samples)):
+        source, total = buffer.summable(block), np.int64(0)
+        for first, last in pairwise([0, *sorted(set(cuts)), 301]):
+            out = np.empty(last - first, dtype=np.int64)
+            with np.errstate(over="ignore"):
+                total = sum_stretch(source, first, total, out)
+            np.testing.assert_array_equal(out, buffer.sums.packed[first + 1 : last + 1])
+            assert total == out[-1]
+
+
+def test_mixed_or_thinned_samples_are_not_summed_as_they_are() -> None:
+    for info in (
+        stream(4.0e6, intermediate_hz=0.42e6),
+        stream(12.0e6, is_complex=False, intermediate_hz=3.0e6),
+        stream(250.0e6),
+    ):
+        assert not RunningSumBuffer(info, CARRIER_HZ, 400).as_they_are
 
 
 def test_blocks_must_follow_each_other() -> None:

@@ -1,8 +1,6 @@
-"""Running sums block by block, summed when they are asked for or before."""
+"""Running sums block by block, and samples for those who sum themselves."""
 
 from __future__ import annotations
-
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -16,31 +14,35 @@ BLOCK_S = 0.5e-3
 
 
 @pytest.mark.parametrize("rate_hz", [4.0e6, 250.0e6], ids=["every sample", "thinned"])
-@pytest.mark.parametrize("ahead", [False, True], ids=["asked for", "before"])
-def test_blocks_go_on_where_the_last_ones_ended(rate_hz: float, ahead: bool) -> None:
+@pytest.mark.parametrize("passed", [False, True], ids=["all asked for", "one passed over"])
+def test_blocks_go_on_where_the_last_ones_ended(rate_hz: float, passed: bool) -> None:
     info = stream(rate_hz)
-    end = int(5.3 * BLOCK_S * rate_hz)
-    samples = np.random.default_rng(1).integers(-100, 100, (end, 2), dtype=np.int8)
-    asked = []
+    epoch = int(5.3 * BLOCK_S * rate_hz)
+    epoch -= epoch % 1000  # of whole entries, also where they are thinned
+    samples = np.random.default_rng(1).integers(-100, 100, (3 * epoch, 2), dtype=np.int8)
 
     def read(first: int, count: int) -> SampleBlock:
-        asked.append((first, count))
         return SampleBlock(info, first, samples[first : first + count])
 
     feed = SumFeed(read, info, CARRIER_HZ, 0, BLOCK_S)
     total = np.concatenate([[0], np.cumsum(samples[:, 0].astype(np.int64))])
-    ends = []
-    with ThreadPoolExecutor(2) as pool:
-        for epoch_end in (end // 2, end):  # an epoch's blocks end where it does
-            for sums in feed.advance(epoch_end):
-                at = sums.first + sums.step * np.arange(sums.packed.size)
-                differences = (sums.packed - sums.packed[0] + (1 << 31)) >> 32
-                np.testing.assert_array_equal(differences, total[at] - total[at[0]])
-                assert sums.first <= max(0, (ends or [0])[-1] - 1.4e-3 * rate_hz)
-                ends.append(int(at[-1]))
-                if ahead:
-                    list(pool.map(feed.prepare, [epoch_end] * 4))
-    assert sums.end <= end < ends[-1] + sums.step
-    assert asked == sorted(set(asked))  # each block once
-    assert max(length for _, length in asked) == round(BLOCK_S * rate_hz)
-    assert sum(length for _, length in asked) == end
+    reached = 0
+    for k in range(3):  # an epoch's blocks end where it does
+        end = (k + 1) * epoch
+        stretch = feed.stretch(end)
+        assert (stretch is None) == (rate_hz > 100e6)
+        if stretch is not None:
+            assert stretch.first == max(0, k * epoch - round(1.5e-3 * rate_hz))
+            assert stretch.first + stretch.samples == end
+        if passed and k == 1:
+            feed.pass_over(end)
+            reached = end
+            continue
+        for sums in feed.advance(end):
+            at = sums.first + sums.step * np.arange(sums.packed.size)
+            differences = (sums.packed - sums.packed[0] + (1 << 31)) >> 32
+            np.testing.assert_array_equal(differences, total[at] - total[at[0]])
+            assert sums.first <= max(0, reached - 1.4e-3 * rate_hz)
+            assert reached < sums.end <= min(end, reached + BLOCK_S * rate_hz)
+            reached = sums.end
+        assert end - sums.step < reached

@@ -24,12 +24,18 @@ from deepgnss.core.records import (
 )
 from deepgnss.evaluate.reproduce.correlator_model import RATE_HZ as MODEL_HZ
 from deepgnss.evaluate.reproduce.correlator_model import Model, start
-from deepgnss.receiver.baseband import RunningSumBuffer, correlate, running_sums
+from deepgnss.receiver.baseband import (
+    NOTHING_SHARED,
+    RunningSumBuffer,
+    correlate,
+    running_sums,
+)
 from deepgnss.receiver.channel import Channel
+from deepgnss.receiver.feed import SumFeed
 from deepgnss.receiver.leading import Grid, Profile
 from deepgnss.receiver.locks import half_shifts
 from deepgnss.receiver.modes import AidingSource, CarrierSettings, Mode, TrackingSettings, unaided
-from deepgnss.receiver.rack import Rack, correlate_all, run_together
+from deepgnss.receiver.rack import Rack, correlate_all, run_epoch, run_together
 from deepgnss.receiver.signals import (
     BDS_B1I_D1,
     BDS_B1I_D2,
@@ -38,7 +44,7 @@ from deepgnss.receiver.signals import (
     code_runs,
     code_table,
 )
-from deepgnss.receiver.steady import State, records, run_steady
+from deepgnss.receiver.steady import Side, State, records, run_steady
 from deepgnss.receiver.steady_group import loops_of, state_of, take_back
 from deepgnss.receiver.updates import Update
 
@@ -224,7 +230,16 @@ def test_an_epoch_is_what_each_does_alone(
     id_ = sky[0].signal.id
     info = StreamInfo("S", rate_hz, id_.carrier_hz, 0.0, True, 1 << 40)
     alone = {one.satellite: one.channel(settings, rate_hz) for one in sky}
-    racked = {one.satellite: one.channel(settings, rate_hz) for one in sky}
+    racked, summing = (
+        {one.satellite: one.channel(settings, rate_hz) for one in sky} for _ in range(2)
+    )
+    made = np.zeros((0, 2), dtype=np.int8)
+    feed = SumFeed(
+        lambda first, count: SampleBlock(info, first, made[first : first + count]),
+        info,
+        id_.carrier_hz,
+        0,
+    )
     concluded: Counter[int] = Counter()
     conclude = Channel.conclude
 
@@ -241,7 +256,7 @@ def test_an_epoch_is_what_each_does_alone(
             if epoch >= aided_from
             else {}
         )
-        for channel in (*alone.values(), *racked.values()):
+        for channel in (*alone.values(), *racked.values(), *summing.values()):
             channel.begin_epoch()
         end = round((epoch + 1) * EPOCH_S * rate_hz)
         rack = Rack([*racked.values()], aiding, end)
@@ -254,19 +269,23 @@ def test_an_epoch_is_what_each_does_alone(
             samples = np.clip(np.rint(pairs), -127, 127).astype(np.int8)
             buffer.keep_from(buffer.end - round(0.0025 * rate_hz))
             buffer.append(SampleBlock(info, buffer.end, samples))
+            made = np.concatenate([made, samples])
             for satellite, channel in alone.items():
                 channel.run(buffer.sums, aiding.get(satellite, unaided))
             rack.advance(buffer.sums)
         rack.finish()
+        run_epoch([Rack([*summing.values()], aiding, end)], feed, end)
         for satellite, channel in alone.items():
-            assert _alike(_state(racked[satellite]), _state(channel)), (epoch, satellite)
+            for other in (racked, summing):
+                assert _alike(_state(other[satellite]), _state(channel)), (epoch, satellite)
     for one in sky:
-        channel, other = alone[one.satellite], racked[one.satellite]
-        if one.silent_s[1] == 0.0:
-            assert channel.mode is Mode.PHASE
-            assert concluded[id(other)] < 0.6 * concluded[id(channel)]
-        else:
-            assert concluded[id(other)] < concluded[id(channel)]
+        channel = alone[one.satellite]
+        for other in (racked[one.satellite], summing[one.satellite]):
+            if one.silent_s[1] == 0.0:
+                assert channel.mode is Mode.PHASE
+                assert concluded[id(other)] < 0.6 * concluded[id(channel)]
+            else:
+                assert concluded[id(other)] < concluded[id(channel)]
 
 
 @pytest.mark.kernel
@@ -297,11 +316,7 @@ def test_an_update_is_what_the_channel_concludes(signal: Signal) -> None:
     states["filled"] = periods
     told = np.zeros((1, 2), records(Update))
     symbols = np.zeros((1, 2, periods // signal.symbol_periods), dtype=np.uint8)
-    run_steady(
-        np.zeros(2, dtype=np.int64),
-        0,
-        1,
-        1.0,
+    side = Side(
         loops,
         table.edges,
         table.signs,
@@ -313,9 +328,12 @@ def test_an_update_is_what_the_channel_concludes(signal: Signal) -> None:
         recent[np.newaxis],
         correlations[np.newaxis],
         np.zeros((1, 0)),
+        np.zeros((1, 4, table.edges.shape[1])),
+        np.full(1, NOTHING_SHARED),
         told.view(np.recarray),
         symbols,
     )
+    run_steady(np.zeros(2, dtype=np.int64), 0, 1, 1.0, side)
     state = State(*states[0].item())
     other = deepcopy(channel)
     assert (state.updates, state.stopped, state.filled) == (1, 0, 0)
