@@ -28,7 +28,7 @@ class Returns(NamedTuple):
     """What the receiver did after the blockages of a recording."""
 
     errors_m: dict[int, list[float]]  # by whole second after a return; NaN: no range
-    searched: int  # satellites found by a search after the first blockage
+    searched: int  # satellites that came back and were found by a search (others always are)
 
 
 def returns(recording: Recording, *settings: str) -> Returns:
@@ -55,7 +55,10 @@ def returns(recording: Recording, *settings: str) -> Returns:
             found += [seen[name].range_m if name in seen else math.nan for name in names]
     rate_hz = recording.scenario.streams[0].front_end.sample_rate_hz
     begun = (ends_s[0] - 1.0) * rate_hz
-    searched = sum(event.what == _SEARCHED and event.sample > begun for event in events)
+    searched = sum(
+        event.what == _SEARCHED and event.sample > begun and event.satellite in names
+        for event in events
+    )
     return Returns(errors_m, searched)
 
 
