@@ -457,20 +457,24 @@ class RunningSumBuffer:
         self._make_room(count)
         out = self._packed[self._entries :]
         with np.errstate(over="ignore"):  # as plain Python the wrap-around would be remarked on
-            if self.as_they_are and isinstance(block.held, PackedSamples):
+            if self.as_they_are:
                 if count:
                     source = self.summable(block)
                     self._total = sum_stretch(source, 0, self._total, out[:count])
                 written = count
             else:
-                written = self._sum(block, out)
+                written = self._sum(block.samples, out)
         self._entries += written
         self.end += count
 
     @property
     def as_they_are(self) -> bool:
         """Whether samples are summed as they are: neither mixed nor thinned."""
-        return self._increment == 0 and self._stream.is_complex and self._thin == 1
+        return not self._mixed and self._thin == 1
+
+    @property
+    def _mixed(self) -> bool:
+        return self._increment != 0 or not self._stream.is_complex
 
     def summable(self, block: SampleBlock) -> Summable:
         """Samples that are summed as they are, for kernels that do it themselves."""
@@ -484,10 +488,10 @@ class RunningSumBuffer:
             )
         return Packed(held.data, held.skip, self._increments)
 
-    def _sum(self, block: SampleBlock, out: NDArray[np.int64]) -> int:
+    def _sum(self, samples: Samples, out: NDArray[np.int64]) -> int:
         """Entries written."""
-        samples, lead = block.samples, self._thin - self.end % self._thin
-        if self._increment == 0 and block.stream.is_complex:
+        lead = self._thin - self.end % self._thin
+        if not self._mixed:
             self._total, written = sum_complex(samples, self._total, lead, self._thin, out)
             return written
         if self._table is None:

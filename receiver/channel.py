@@ -603,9 +603,8 @@ class Channel:
                 window=self._heard,
             )
         )
-        alike: Any = Interval._make(
-            map(repeat, self._interval())
-        )  # every field for all that follow
+        # Every field for all that follow.
+        alike: Any = Interval._make(map(repeat, self._interval()))
         following = alike._replace(
             command=updates.commands,
             periods=periods[1:],

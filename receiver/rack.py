@@ -1,8 +1,8 @@
 """Channels side by side, through an epoch: those that are steady in a kernel, and the others.
 
-Of these all that is due from a block is correlated in one call; between two calls a channel does
-what it does alone (`Channel.run`). A call holds no lock of the
-interpreter, so that the channels of two streams run at the same time.
+Steady ones go through an epoch in one call. Of the others all that is due from a block is
+correlated in one; between two calls a channel does what it does alone (`Channel.run`). A call
+holds no lock of the interpreter, so that the channels of two streams run at the same time.
 """
 
 from __future__ import annotations
